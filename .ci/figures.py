@@ -1,6 +1,7 @@
 """Print the size and the style of the project as one table: `python .ci/figures.py`.
 
-Every figure is read from the tracked files, without importing the package. `--list` prints the assertions on sentences.
+Every figure is read from the tracked files, without importing the package. `--list` prints the assertions on sentences
+and the docstrings that begin with no verb of `.ci/verbs.txt`.
 """
 
 import argparse
@@ -132,6 +133,18 @@ def functions(trees: dict[Path, ast.Module]) -> Iterator[tuple[Path, ast.Functio
                 yield path, node
 
 
+def summaries_without_verb() -> list[str]:
+    """List the docstrings of functions, except properties, whose first word is none of `.ci/verbs.txt`."""
+    verbs, found = set((PROJECT / ".ci/verbs.txt").read_text(encoding="utf-8").split()), []
+    for path in tracked("workflow/src/*.py", "scripts/*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and (text := ast.get_docstring(node)):
+                is_property = any(ast.unparse(each).endswith("property") for each in node.decorator_list)
+                if not is_property and text.split()[0].rstrip(".,:;") not in verbs:
+                    found.append(f"{path.relative_to(PROJECT)}:{node.lineno}: {text.splitlines()[0]}")
+    return found
+
+
 def one_caller_helpers(trees: dict[Path, ast.Module]) -> int:
     """Count the functions of a module's top whose body has at most `SHORT` lines and that one place names."""
     named = Counter(
@@ -194,7 +207,7 @@ def rows() -> Iterator[tuple[str, str]]:
     yield "files; median of their lines", f"{len(package)}; {statistics.median(lengths):.0f}"
     yield "functions; helpers of four lines or fewer with one caller", f"{len(defined):,}; {one_caller_helpers(trees)}"
     yield "functions with a docstring; of these in numpydoc sections", f"{len(documented):,}; {len(numpydoc)}"
-    yield "docstrings that do not begin with a verb (D401)", str(ruff("D401"))
+    yield "docstrings of functions that do not begin with a verb", str(len(summaries_without_verb()))
     yield "docstrings whose summary is no line of its own (D205)", str(ruff("D205"))
     yield f"functions with more than {ARGUMENTS} arguments", str(ruff("PLR0913"))
     yield "stages", str(len(tracked("docs/stages/*.md")) - 1)
@@ -214,9 +227,9 @@ def rows() -> Iterator[tuple[str, str]]:
 def main() -> None:
     """Print the table, or the assertions."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--list", action="store_true", help="print every assertion that fixes a sentence")
+    parser.add_argument("--list", action="store_true", help="print what two of the rows count")
     if parser.parse_args().list:
-        print("\n".join(sentences()))
+        print("\n".join([*sentences(), *summaries_without_verb()]))
         return
     table = list(rows())
     width = max(len(name) for name, _ in table)

@@ -27,7 +27,7 @@ from nishiki.version import PROJECT_VERSION
 
 
 def main() -> None:
-    """Arguments in; sweep.html, sweep.csv and the drawings out, and sweep.json when they are all there."""
+    """Write sweep.html, sweep.csv and the drawings, and sweep.json when they are all there."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--configuration", required=True, metavar="JSON", help="configuration, with the sweep's name")
     parser.add_argument("--output", type=Path, required=True, help="sweep.json to make")
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def content_of(flow: Workflow) -> dict:
-    """Everything that the page tells."""
+    """Collect the content of the page."""
     sweep = require(flow.sweep)
     scenes = []
     for swept in sweep.scenes:
@@ -94,7 +94,7 @@ def errors_of(flow: Workflow, swept: SceneSweep) -> tuple[list[MeasureSettings],
 
 
 def evaluation_of(flow: Workflow, swept: SceneSweep, variant: PlannedVariant) -> list[dict]:
-    """Where a measure is looked for: the evaluation's diagnostics, then evaluation.json."""
+    """Read the sources of a measure: the evaluation's diagnostics, then evaluation.json."""
     artifact = open_artifact(Path(flow.evaluation(swept, variant)))
     return [artifact.diagnostics, json.loads(artifact.path("evaluation.json").read_text(encoding="utf-8"))]
 
@@ -118,7 +118,7 @@ def row_of(flow: Workflow, swept: SceneSweep, variant: PlannedVariant, errors: l
 
 
 def files_of(content: dict) -> dict[str, str]:
-    """Texts of the page, the table and the drawings, by file name."""
+    """Write the page, the table and the drawings as texts, by file name."""
     rows = table_rows(content)
     names = list(dict.fromkeys(key for row in rows for key in row))
     table = table_text([names, *([row.get(name, "") for name in names] for row in rows)])

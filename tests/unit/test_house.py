@@ -5,6 +5,7 @@ import re
 import subprocess
 from graphlib import TopologicalSorter
 from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from types import FunctionType
 
@@ -121,6 +122,13 @@ def test_no_module_calls_what_is_public_through_the_package():
     others = [path for path in paths if path != PACKAGE / "__init__.py"]
     assert not [path.name for path in others if public & set(syntax_of(path).names)]
     assert not [path.name for path in others if re.search(r"^\s*import nishiki$", path.read_text(), re.M)]
+
+
+def test_docstrings_of_functions_begin_with_a_verb():
+    spec = spec_from_file_location("figures", PROJECT / ".ci/figures.py")
+    figures = module_from_spec(spec)
+    spec.loader.exec_module(figures)
+    assert figures.summaries_without_verb() == []
 
 
 def test_the_package_does_not_import_the_workflow_engine():

@@ -228,7 +228,7 @@ def shade(normals, lights, reflectance=1.0, *, gloss: "GlossProfile | None" = No
     lights : (lights, 3) or (3,) array_like of float
         Unit vectors to the lamps.
     reflectance : float, (rows, columns) or (rows, columns, channels) array_like, optional
-        Of the body, relative to a perfect white.
+        Reflectance of the body, relative to a perfect white.
     gloss : GlossProfile, optional
         Lobes of the surface, from `fit_gloss`. Default: a matt surface.
 
@@ -280,7 +280,7 @@ def fit_gloss(observations, directions, field: "NormalField", *, valid=None, ref
     valid : (lights, rows, columns) array_like of bool, optional
         Samples to use. Default: all.
     refractive_index : float, optional
-        Of the surface, above 1.
+        Refractive index of the surface, above 1.
 
     Returns
     -------

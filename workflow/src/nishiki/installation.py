@@ -110,7 +110,7 @@ def loaded() -> tuple[str, ...]:
 
 
 def installed(package: str) -> bool:
-    """Whether a package can be imported; nothing of it is loaded."""
+    """Return whether a package can be imported; nothing of it is loaded."""
     return find_spec(MODULES.get(package, package).partition(".")[0]) is not None
 
 

@@ -102,7 +102,7 @@ for _operation, _name in ((operator.and_, "and_"), (operator.or_, "or_")):
 
 
 def _readable(array, place):
-    """Whether the place is one of an array of neighbouring numbers: an index, or (row, index)."""
+    """Return whether the place is one of an array of neighbouring numbers: an index, or (row, index)."""
     dimensions = len(place) if isinstance(place, types.BaseTuple) else 1
     return isinstance(array, types.Array) and array.layout == "C" and array.ndim == dimensions <= 2
 
@@ -197,7 +197,7 @@ def splat(typing, number):
 def choose(typing, condition, yes, no):
     """Select `yes` or `no` per lane, like numpy.where; each is lanes or a number of their kind.
 
-    Of single numbers too, so that one function serves both.
+    Single numbers are accepted, too, so that one function serves both.
     """
     kind = WIDE if {yes, no} & {WIDE, types.float64} else NUMBERS
     if condition not in (TRUTHS, types.boolean) or not {yes, no} <= {kind, SINGLE[kind]}:

@@ -65,7 +65,7 @@ def identity(pid: int | None = None) -> str:
 
 
 def is_alive(name: str) -> bool:
-    """Whether the process of this identity lives on this machine; a bare number is taken as any start."""
+    """Return whether the process of this identity lives on this machine; a bare number is taken as any start."""
     pid, _, ticks = name.partition("-")
     if not pid.isdigit():
         return False
@@ -101,7 +101,7 @@ def pids() -> list[int]:
 
 
 def runs(pid: int, script: str) -> bool:
-    """Whether a process was started with a script of this name."""
+    """Return whether a process was started with a script of this name."""
     return any(Path(os.fsdecode(word)).name == script for word in _words(pid, "cmdline"))
 
 

@@ -48,11 +48,11 @@ def in_threads(
     Parameters
     ----------
     work : callable
-        Of one item.
+        Function of one item.
     items : iterable
-        Read as they are needed.
+        Items, read as they are needed.
     most : int, optional
-        Of the threads; all that the process may use by default, or where it may use fewer.
+        Most threads; all of this process by default, or where it has fewer.
     ahead : int, optional
         Items that wait or are under way beside the next result; as many as threads by default.
     """

@@ -128,7 +128,7 @@ class RunHandler(LogHandlerBase):
                     self.screen.show(self.progress.line(self.screen.width))
 
     def _note(self, scene: str, stage: str, text: str) -> bool:
-        """Whether a stage that runs reports its progress."""
+        """Return whether a stage that runs reports its progress."""
         jobs = [job for job in self.progress.running.values() if (job.scene, job.stage) == (scene, stage)]
         for job in jobs:
             job.note = text
@@ -140,7 +140,7 @@ class RunHandler(LogHandlerBase):
             self._messages[message[1], message[2]] = message[3]
 
     def _is_traceback(self, line: str) -> bool:
-        """Whether a line is part of a traceback, its last line aside."""
+        """Return whether a line is part of a traceback, its last line aside."""
         if line.startswith("Traceback (most recent call last)") or line.startswith(CHAINED):
             self._traceback = True
         elif self._traceback and not line.startswith(" "):

@@ -307,7 +307,7 @@ class AuditTargets:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing is there that a run or pack has made; published links alone are nothing."""
+        """Return whether nothing is there that a run or pack has made; published links alone are nothing."""
         return not (self.artifacts or self.crates or self.damages or self.unfinished or self.aside)
 
 

@@ -47,7 +47,7 @@ def ids(names: Iterable[str]) -> list[Entity] | Entity:
 
 
 def is_address(text: str | None) -> bool:
-    """Whether a text, such as the rights in capture.yaml, is an address on the web and can identify what it says."""
+    """Test if a text, such as the rights in capture.yaml, is an address on the web and can identify what it says."""
     return bool(text and re.fullmatch(r"https?://[^\s<>\"]+", text))
 
 

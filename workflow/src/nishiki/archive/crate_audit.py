@@ -45,7 +45,7 @@ class CrateAudit:
 
 
 def is_crate(path: Path) -> bool:
-    """Whether this is a packed scene: a folder with a crate's description, or a ZIP file."""
+    """Return whether this is a packed scene: a folder with a crate's description, or a ZIP file."""
     return (path.is_dir() and (path / METADATA).is_file()) or (path.is_file() and path.suffix.lower() == ".zip")
 
 

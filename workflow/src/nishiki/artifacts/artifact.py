@@ -169,7 +169,7 @@ def parse_manifest(data: bytes) -> dict[str, Any]:
 
 
 def is_inside(name: str) -> bool:
-    """Whether a relative name with `/` stays inside its folder: no empty part, no `.` or `..`, not absolute."""
+    """Return whether a relative name with `/` stays inside its folder: no empty part, no `.` or `..`, not absolute."""
     return "\0" not in name and BESIDE.isdisjoint(name.split("/"))
 
 
@@ -182,7 +182,7 @@ def _expect_inside(name: str) -> str:
 
 
 def is_digest(text: Any) -> bool:
-    """Whether this is a SHA-256 as 64 lower-case hexadecimal digits."""
+    """Return whether this is a SHA-256 as 64 lower-case hexadecimal digits."""
     return isinstance(text, str) and len(text) == 64 and not text.strip("0123456789abcdef")
 
 

@@ -46,12 +46,12 @@ class Limit:
     doubt: float | None = None  # level on the same side from which the run goes on with a warning
 
     def beyond(self, value: float) -> bool:
-        """Whether a value is beyond the limit; a NaN is."""
+        """Return whether a value is beyond the limit; a NaN is."""
         above = self.most is not None and not value <= self.most
         return above or (self.least is not None and not value >= self.least)
 
     def doubtful(self, value: float) -> bool:
-        """Whether a value is a reason for a warning but not beyond a limit that stops."""
+        """Return whether a value is a reason for a warning but not beyond a limit that stops."""
         if self.beyond(value):
             return self.warns
         return self.doubt is not None and not (value <= self.doubt if self.most is not None else value >= self.doubt)

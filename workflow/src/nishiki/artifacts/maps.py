@@ -105,7 +105,7 @@ def maps_with(artifact: Artifact | None, name: str) -> Maps | None:
 
 
 def directional_shading(maps: Maps) -> bool:
-    """Whether the body shading of normals holds the shadows that surroundings throw: none are cast on top of it."""
+    """Test if the body shading of normals holds the shadows that surroundings throw: none are cast on top of it."""
     return "shading" in maps and maps.group["shading"].shape[-1] > 3
 
 
@@ -128,7 +128,7 @@ def shrink(
     Parameters
     ----------
     read : callable
-        Of a slice of rows: values (r, columns, ...).
+        Function of a slice of rows that returns values (r, columns, ...).
     shape : (int, int)
         Rows and columns of the map. The last row and column of blocks may be cut.
     block : int

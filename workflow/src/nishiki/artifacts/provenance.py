@@ -264,7 +264,7 @@ def code_files(script: Path) -> list[Path]:
 
 
 def _is_module(path: Path) -> bool:
-    """Whether a file is part of the package; an installed one also carries the project's scripts."""
+    """Return whether a file is part of the package; an installed one also carries the project's scripts."""
     return SOURCE in path.parents and SCRIPTS not in path.parents
 
 

@@ -1,10 +1,10 @@
-"""Triangles across edges, and quantities smoothed or spread from triangle to triangle."""
+"""Find triangles across edges, and smooth or spread quantities from triangle to triangle."""
 
 import numpy as np
 
 
 def across_edges(corners: np.ndarray) -> np.ndarray:
-    """Neighbours (f, 3) int32 of triangles (f, 3): entry k lies across the edge from corner k to corner k + 1.
+    """Find neighbours (f, 3) int32 of triangles (f, 3): entry k lies across the edge from corner k to corner k + 1.
 
     -1 at an open edge, and at edges of more than two triangles, which belong to no smooth surface.
     """
@@ -42,7 +42,7 @@ def smoothed(vectors: np.ndarray, weights: np.ndarray, neighbours: np.ndarray, *
 
 
 def smoothed_vertices(vertices: np.ndarray, corners: np.ndarray, *, rounds: int) -> np.ndarray:
-    """Vertices (v, 3) float64 after `rounds` of moving half way to the mean of those that share an edge with them.
+    """Move vertices (v, 3) `rounds` times half way to the mean of those that share an edge with them; float64.
 
     A neighbour counts once for each triangle that has both; vertices without a triangle stay.
     """
@@ -89,7 +89,7 @@ def spread(labels: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
 
 
 def borders(labels: np.ndarray, neighbours: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs (n, 2) of different labels that meet, each in both orders, and the length (n,) of their common border.
+    """Find pairs (n, 2) of different labels that meet, in both orders, and the length (n,) of their common border.
 
     lengths (f, 3): of the edges, in the order of `across_edges`.
     """

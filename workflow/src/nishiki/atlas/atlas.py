@@ -32,7 +32,7 @@ class Atlas(ArrayFields):
         return len(self.tile_chart)
 
     def locate(self, triangle: np.ndarray, barycentric: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Tile (...) int32 and row s, column t (...) float32 in [0, T - 1] of surface points.
+        """Find tile (...) int32 and row s, column t (...) float32 in [0, T - 1] of surface points.
 
         triangle (...), barycentric (..., 2) as of a `Raster`. Tile -1 where triangle is -1 or has no place. A point
         between two tiles belongs to the later one: s and t are below T - 1 but for rounding.
@@ -59,7 +59,7 @@ class Atlas(ArrayFields):
 
     @classmethod
     def load(cls, path: Path) -> "Atlas":
-        """Read what `save` wrote."""
+        """Read a file that `save` wrote."""
         return cls.from_arrays(load_arrays(path))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def touches(corners, row, column, half_rows, half_columns):
-    """Whether a triangle (3, 2) and the open rectangle about (row, column) have a common point (separating axes)."""
+    """Check whether a triangle (3, 2) and the open rectangle about (row, column) share a point (separating axes)."""
     for axis in range(2):
         middle, half = (row, half_rows) if axis == 0 else (column, half_columns)
         low = min(corners[0, axis], min(corners[1, axis], corners[2, axis]))
@@ -28,7 +28,7 @@ def touches(corners, row, column, half_rows, half_columns):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def mark_cells(chart, corners, grid, used, stride):
-    """Cells one of whose texels a surface point looks up: within one texel of a triangle, rows and columns apart."""
+    """Mark cells one of whose texels a surface point looks up: within a texel of a triangle, rows and columns apart."""
     for i in range(len(chart)):
         if chart[i] < 0:
             continue
@@ -47,7 +47,7 @@ def mark_cells(chart, corners, grid, used, stride):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def cell_range(values, stride, count):
-    """First and last cell that three coordinates, widened by a texel, reach."""
+    """Find first and last cell that three coordinates, widened by a texel, reach."""
     low = min(values[0], min(values[1], values[2]))
     high = max(values[0], max(values[1], values[2]))
     first = min(max(int(np.floor((low - 1.0) / stride)), 0), count - 1)

@@ -41,7 +41,7 @@ def normalised(vector: np.ndarray, instead: np.ndarray) -> np.ndarray:
 
 
 def probe_spacing(mesh: Mesh, cameras: list[Camera], *, texels_per_pixel: float) -> float:
-    """Half a texel in the world's unit, for the median over views of the size of a pixel at the mesh's middle."""
+    """Compute half a texel in the world's unit, for the median over views of a pixel's size at the mesh's middle."""
     middle = np.median(mesh.vertices[mesh.triangles.reshape(-1)], axis=0)
     sizes = []
     for camera in cameras:
@@ -54,7 +54,7 @@ def probe_spacing(mesh: Mesh, cameras: list[Camera], *, texels_per_pixel: float)
 
 @dataclass(frozen=True)
 class ChartAxes:
-    """Hold the axes of charts: their rows and columns, viewed from outside with the turntable's axis upright."""
+    """The axes of charts: their rows and columns, viewed from outside with the turntable's axis upright."""
 
     direction: np.ndarray  # (charts, 3) float64 away from the surface
     down: np.ndarray  # (charts, 3)
@@ -91,7 +91,7 @@ def flatten(corners: np.ndarray, chart: np.ndarray, frames: ChartAxes) -> np.nda
 def overlapping(
     plane: np.ndarray, chart: np.ndarray, neighbours: np.ndarray, areas: np.ndarray, *, spacing: float
 ) -> np.ndarray:
-    """(f,) bool: triangles that would lie on another one of their chart.
+    """Find triangles (f,) bool that would lie on another one of their chart.
 
     Each chart grows from its largest triangle, ring by ring, over a grid of probes `spacing` apart; a triangle one of
     whose probes is taken is told. Negative charts take no part.
@@ -144,7 +144,7 @@ def grow(plane, members, chart, neighbours, frame, grid, reached, overlaps):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def take(points, grid, mark):
-    """Whether a probe inside a triangle (3, 2) (column, row) is taken; with `mark`, take them all."""
+    """Check whether a probe inside a triangle (3, 2) (column, row) is taken; with `mark`, take them all."""
     area = edge(points, 0, 1, points[2, 0], points[2, 1])
     b, c = (1, 2) if area > 0 else (2, 1)
     # Probes on an edge, as nearly as can be told, belong to neither side: touching is no overlap.
@@ -164,7 +164,7 @@ def take(points, grid, mark):
 
 
 ROUNDS = 12
-"""Of splitting and naming anew; each split-off piece is judged by its own direction in the next round."""
+"""Rounds of splitting and naming anew; each split-off piece is judged by its own direction in the next round."""
 SMOOTHING = (0, 4, 16, 64, 256)
 """Rounds of smoothing tried before the projection, in this order."""
 FEW = 0.005
@@ -180,7 +180,7 @@ STEEPEST_DEG = 80.0  # largest angle between a triangle and its chart
 
 @dataclass(frozen=True)
 class Charts:
-    """Hold the charts of a mesh."""
+    """The charts of a mesh."""
 
     chart: np.ndarray  # (f,) int32, -1 for triangles without area that touch no other
     frames: ChartAxes  # direction and axes of each chart
@@ -278,13 +278,13 @@ def unit_normals(mesh: Mesh, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def has_area(areas: np.ndarray) -> np.ndarray:
-    """(f,) bool: area finite and not negligible beside the largest."""
+    """Check which areas are finite and not negligible beside the largest: (f,) bool."""
     finite = np.isfinite(areas)
     return finite & (areas > 1e-12 * np.max(areas, where=finite, initial=0.0))
 
 
 def nearest_direction(vertices, normals, areas, neighbours, *, up, front, smoothing: float) -> np.ndarray:
-    """Label (f,) int32 of the nearest of six directions: along the axis, and four across it."""
+    """Label triangles (f,) int32 by the nearest of six directions: along the axis, and four across it."""
     frame = frame_along(np.asarray(front, np.float64)[None], up=up, front=front)
     axes = np.concatenate([frame.direction, -frame.down, frame.right])
     mean_edge = np.sqrt(areas.sum() / max(1, np.count_nonzero(areas)) * 4 / np.sqrt(3))
@@ -296,7 +296,7 @@ def nearest_direction(vertices, normals, areas, neighbours, *, up, front, smooth
 
 
 def directions_of(labels: np.ndarray, normals: np.ndarray, areas: np.ndarray) -> np.ndarray:
-    """Mean normal (charts, 3) of each chart, weighted by area, unit length; (0, 0, 1) where they cancel."""
+    """Average the normals (charts, 3) of each chart, weighted by area, unit length; (0, 0, 1) where they cancel."""
     inside = labels >= 0
     count = int(labels.max(initial=-1)) + 1
     weighted = normals * areas[:, None]

@@ -11,7 +11,7 @@ from nishiki.geometry.mesh import Mesh
 
 @dataclass(frozen=True)
 class Density:
-    """Hold the sampling of triangles by the pictures."""
+    """The sampling of triangles by the pictures."""
 
     # (f,) float64: area in pixels of each triangle in its chosen view, 0 where too few views face it
     pixels: np.ndarray
@@ -42,7 +42,7 @@ def sampling_density(mesh: Mesh, plane: np.ndarray, cameras: list[Camera], *, pe
 
 
 def facing_areas(mesh: Mesh, camera: Camera) -> np.ndarray:
-    """(f,) float32: areas in pixels of triangles that face a camera and have their middle in the picture, else 0."""
+    """Compute areas (f,) float32 in pixels of triangles that face a camera with their middle in the picture, else 0."""
     pixels, depths = camera.project(mesh.vertices)
     a, b, c = (pixels[mesh.triangles[:, corner]] for corner in range(3))
     x, y = ((a + b + c) / 3).T
@@ -55,7 +55,7 @@ def facing_areas(mesh: Mesh, camera: Camera) -> np.ndarray:
 def texels_per_unit(
     density: Density, plane: np.ndarray, chart: np.ndarray, *, texels_per_pixel: float, least: float = 0.1
 ) -> np.ndarray:
-    """Texels (charts, 2) float64 for one unit along (down, right) of each chart.
+    """Compute texels (charts, 2) float64 for one unit along (down, right) of each chart.
 
     A chart gets as many texels as its triangles have pixels, times the square of texels_per_pixel; the two directions
     share them as the pixels do. Charts that hardly any view faces get `least` of the whole surface's mean.
@@ -103,7 +103,7 @@ def stretch_percentiles(mesh: Mesh, atlas: Atlas, percentiles=(50, 90, 99, 100))
 
 
 def texels_per_pixel(mesh: Mesh, atlas: Atlas, camera: Camera, triangle: np.ndarray) -> float | None:
-    """Median over pixels of the linear number of texels that a pixel covers; triangle (n,): what the pixels show."""
+    """Compute the median linear number of texels that a pixel covers; triangle (n,): those that the pixels show."""
     areas = facing_areas(mesh, camera)
     texels = atlas.corners.astype(np.float64)
     first, second = texels[:, 1] - texels[:, 0], texels[:, 2] - texels[:, 0]
@@ -114,7 +114,7 @@ def texels_per_pixel(mesh: Mesh, atlas: Atlas, camera: Camera, triangle: np.ndar
 
 
 def atlas_picture(atlas: Atlas, texels: np.ndarray, *, width: int = 2048) -> np.ndarray:
-    """Tiles (tiles, T, T, channels) float32 put together chart by chart; NaN between them. Charts stand in rows."""
+    """Put tiles (tiles, T, T, channels) float32 together chart by chart, charts in rows; NaN between them."""
     stride, shelves, room = atlas.size - 1, [], 0
     wide = int(max(atlas.chart_grid[:, 2].max(initial=1), np.ceil(np.sqrt(1.3 * len(atlas.cells)))))
     drawn = np.unique(atlas.tile_chart)  # small charts are in the tile of the first of their group

@@ -1,4 +1,4 @@
-"""Reading texel stacks and pixel samples, tile by tile."""
+"""Read texel stacks and pixel samples, tile by tile."""
 
 import threading
 from dataclasses import dataclass
@@ -64,16 +64,16 @@ class Texels:
         return np.tile(np.isin(self.views, self.hold_out), len(self.lights))
 
     def read(self, component: str, tile: int) -> np.ndarray:
-        """(M, T, T, channels) float32 linear: texels of a tile in every observation, 0 where not visible."""
+        """Read texels (M, T, T, channels) float32 linear of a tile in every observation, 0 where not visible."""
         self._known(component)
         return np.stack([self._of_tiles(f"values/{component}", tile, o) for o in range(self.observations)])
 
     def visible(self, tile: int) -> np.ndarray:
-        """(M, T, T) bool: where `read` has a value."""
+        """Read where `read` has a value: (M, T, T) bool."""
         return np.stack([self._of_tiles("visible", tile, o) for o in range(self.observations)]) != 0
 
     def geometry(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Positions (T, T, 3) float32, unit normals (T, T, 3) float32, inside (T, T) bool of a tile; 0 outside.
+        """Read positions (T, T, 3) float32, unit normals (T, T, 3) float32, inside (T, T) bool of a tile; 0 outside.
 
         Inside: among the four texels that some surface point is interpolated from.
         """
@@ -81,7 +81,7 @@ class Texels:
         return self._of_tiles("positions", tile), normals, (normals != 0).any(axis=-1)
 
     def samples(self, component: str, tile: int, *, saturated: bool = False) -> TexelSamples:
-        """Every valid object pixel of every observation that falls into a tile; those of held-out views too.
+        """Read every valid object pixel of every observation that falls into a tile; those of held-out views too.
 
         saturated: also pixels that are not valid but hold a value, as saturated ones do.
         """
@@ -125,7 +125,7 @@ class Texels:
         return self._arrays[name]
 
     def _of_tiles(self, name: str, tile: int, observation: int | None = None) -> np.ndarray:
-        """One tile of an array (tiles, ...) or (observations, tiles, ...)."""
+        """Read one tile of an array (tiles, ...) or (observations, tiles, ...)."""
         array = self._array(name)
         lead = () if observation is None else (observation,)
         return self._part(array, (name, observation), lead, len(lead), slice(tile, tile + 1))[0]

@@ -1,4 +1,4 @@
-"""Compute the surface point behind every texel, and sample what a view shows there."""
+"""Compute the surface point behind every texel, and sample a view there."""
 
 from dataclasses import dataclass
 
@@ -28,7 +28,7 @@ def texel_triangles(atlas: Atlas) -> np.ndarray:
 
 
 def texel_points(mesh: Mesh, atlas: Atlas, triangles: np.ndarray, tiles: slice) -> tuple[np.ndarray, ...]:
-    """Positions (n, T, T, 3) float32, unit normals (n, T, T, 3) float32 and inside (n, T, T) bool of some tiles.
+    """Compute positions (n, T, T, 3) float32, unit normals (n, T, T, 3) float32, inside (n, T, T) bool of some tiles.
 
     triangles are those of `texel_triangles`. Normals are interpolated from the vertices. Past a border the surface
     continues in the plane of its triangle, and the normal is that of the nearest point. 0 outside.
@@ -43,7 +43,7 @@ def texel_points(mesh: Mesh, atlas: Atlas, triangles: np.ndarray, tiles: slice) 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def nearest_weights(corners, row, column):
-    """Weights of corners 0 and 1 of the point of a triangle (3, 2) nearest to (row, column), and the distance²."""
+    """Compute weights of corners 0 and 1 of a triangle's (3, 2) point nearest to (row, column), and the distance²."""
     ar, ac = np.float64(corners[0, 0]), np.float64(corners[0, 1])
     br, bc = corners[1, 0] - ar, corners[1, 1] - ac
     cr, cc = corners[2, 0] - ar, corners[2, 1] - ac
@@ -103,7 +103,7 @@ def assign(chart, corners, grid, cells, triangle, distance):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def point_kernel(triangle, places, flat, corners, vertices, vertex_normals, positions, normals):
-    """Positions and normals of texels; see `texel_points`."""
+    """Compute positions and normals of texels; see `texel_points`."""
     size = triangle.shape[1]
     for tile in range(len(triangle)):
         for i in range(size):
@@ -135,7 +135,7 @@ def point_kernel(triangle, places, flat, corners, vertices, vertex_normals, posi
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def continue_past_border(flat, corners, row, column, u, v, position):
-    """Add what leads from the nearest point of a triangle to the texel, in the plane of the triangle.
+    """Add the offset from the nearest point of a triangle to the texel, in the plane of the triangle.
 
     No further in space than REACH times the distance in the chart times the triangle's larger stretch: slivers would
     otherwise throw the point far away.
@@ -176,7 +176,7 @@ class PixelPlaces:
 
 
 def object_pixels(mesh: Mesh, camera: Camera, raster: Raster, silhouette: np.ndarray | None) -> np.ndarray:
-    """(rows, columns) bool: pixels that show the outer side of the surface, inside the silhouette where it is known."""
+    """Find pixels (rows, columns) bool that show the surface's outer side, inside the silhouette where it is known."""
     towards = camera.centre - mesh.vertices[mesh.triangles[:, 0]]
     facing = (face_vectors(mesh.vertices, mesh.triangles) * towards).sum(axis=1) > 0
     # Triangle -1 reads the last entry.
@@ -185,7 +185,7 @@ def object_pixels(mesh: Mesh, camera: Camera, raster: Raster, silhouette: np.nda
 
 
 def pixel_places(atlas: Atlas, raster: Raster, shown: np.ndarray) -> PixelPlaces:
-    """Places of the pixels `shown` (rows, columns) in the atlas."""
+    """Find the places of the pixels `shown` (rows, columns) in the atlas."""
     row, column = np.nonzero(shown)
     tile, s, t = atlas.locate(raster.triangle[row, column], raster.barycentric[row, column])
     order = np.argsort(tile, kind="stable")
@@ -249,7 +249,7 @@ def sample_view(
 
 
 def _around(pixels: np.ndarray, shape: tuple[int, ...]) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
-    """Rows and columns of the four pixels about places (n, 2) (column, row) in a picture, and their weights.
+    """Find rows and columns of the four pixels about places (n, 2) (column, row) in a picture, and their weights.
 
     A pixel without weight may not exist: the place's own stands for it.
     """

@@ -1,4 +1,4 @@
-"""Writing texel stacks and pixel samples: one view at a time, tile by tile within it."""
+"""Write texel stacks and pixel samples: one view at a time, tile by tile within it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +22,7 @@ READ_AHEAD_MIB = 64
 
 @dataclass(frozen=True)
 class ViewGeometry:
-    """Hold the part of the object that one view shows under any light."""
+    """The part of the object that one view shows under any light."""
 
     view: int
     raster: Raster
@@ -32,7 +32,7 @@ class ViewGeometry:
 
 
 class Source(NamedTuple):
-    """What the photographs of an artifact are: names of lights and components, and views left out of fits."""
+    """The photographs of an artifact: names of lights and components, and views left out of fits."""
 
     lights: tuple[str, ...]
     components: tuple[str, ...]
@@ -43,7 +43,7 @@ class Source(NamedTuple):
 
 
 class TexelsWriter:
-    """Writes the texels of one artifact. First `view`, then `pictures` for each of its lights, view after view."""
+    """A writer of one artifact's texels. First `view`, then `pictures` for each of its lights, view after view."""
 
     def __init__(
         self,
@@ -124,7 +124,7 @@ class TexelsWriter:
         self.counts = np.zeros((tiles, size, size), np.uint16)
 
     def groups(self) -> list[slice]:
-        """Tiles that are stored together."""
+        """List the tiles that are stored together."""
         return [slice(k, min(k + self.together, self.atlas.tiles)) for k in range(0, self.atlas.tiles, self.together)]
 
     def view(self, index: int, silhouette: np.ndarray | None) -> ViewGeometry:

@@ -96,7 +96,7 @@ def fit_torrance_sparrow(
 def _prepared(
     phi, amplitude, attenuation, diffuse, weights
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Contiguous arrays of one float type, with the defaults filled in and the shapes checked."""
+    """Return contiguous arrays of one float type; fill in the defaults and check the shapes."""
     amplitude = np.asarray(amplitude)
     real = np.float32 if amplitude.dtype == np.float32 else np.float64
     if amplitude.ndim != 3:
@@ -118,7 +118,7 @@ def _prepared(
 
 
 def _judged(arrays, strengths, reports, low, high) -> PointFits:
-    """Derive flags and standard deviations from the solver's reports; set what is not supported to 'no highlight'."""
+    """Derive flags and standard deviations from the solver's reports; set unsupported lobes to 'no highlight'."""
     _, amplitude, _, diffuse, weights = arrays
     channels = amplitude.shape[2]
     has_diffuse = np.any(diffuse != 0, axis=1)
@@ -230,7 +230,7 @@ def _products(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _fit(points: _Points, log_min: float, log_max: float, report: np.ndarray) -> np.ndarray:
-    """Fit points and report of them; returns (points, channels, 3) strengths in the units of the observations."""
+    """Fit points and report on them; returns (points, channels, 3) strengths in the units of the observations."""
     step = np.log(2)  # of the grid: the next width is half, whose lobe is the fourth power
     t = log_max - step * _best_of_grid(points, log_max, int(np.ceil((log_max - log_min) / step)) + 1)
     t = np.maximum(t, log_min)
@@ -248,14 +248,14 @@ def _fit(points: _Points, log_min: float, log_max: float, report: np.ndarray) ->
 
 
 def _inverse_determinant(a, b, d):
-    """1 / (a d - b^2), or 0 where the two columns are collinear within the rounding of their type."""
+    """Compute 1 / (a d - b^2), or 0 where the two columns are collinear within the rounding of their type."""
     tolerance = 1e-5 if a.itemsize == 4 else 1e-12
     determinant = a * d - b * b
     return np.where(determinant > tolerance * a * d, 1 / determinant, 0)
 
 
 def _strengths(a, b, inverse, u, points: _Points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Non-negative least squares in two unknowns, relative to the fit by the diffuse column alone.
+    """Solve non-negative least squares in two unknowns, relative to the fit by the diffuse column alone.
 
     a, b (points,): the products s.s, s.q of the lobe's and the diffuse column; inverse (points,): of the determinant,
     0 if collinear; u (channels, points): s.y'.  Returns K_s, K_d - k0, and what K_s takes off sum y'^2: a difference
@@ -273,7 +273,7 @@ def _strengths(a, b, inverse, u, points: _Points) -> tuple[np.ndarray, np.ndarra
 
 
 def _best_of_grid(points: _Points, log_max: float, steps: int) -> np.ndarray:
-    """Index (points,) of the best half width of the grid, gamma_max / 2^index; of equally good ones the widest."""
+    """Find the index (points,) of the best half width of the grid, gamma_max / 2^index; the widest of equal ones."""
     real = points.square.dtype.type
     tiny, margin = np.finfo(real).tiny, real(1.00001) if real == np.float32 else real(1 + 1e-12)
     height = np.exp2(-points.square * real(np.exp(-2 * log_max)))
@@ -290,7 +290,7 @@ def _best_of_grid(points: _Points, log_max: float, steps: int) -> np.ndarray:
 
 
 def _evaluated(points: _Points, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Strengths (2, channels, points) at log gamma = t, and slope, curvature, rss (points,) of the projected problem.
+    """Compute strengths (2, channels, points) at log gamma t; slope, curvature, rss (points,) of the projected problem.
 
     slope: minus half the derivative of the sum of squares by t (exact); curvature: Kaufman's approximation of half the
     second derivative, sum_c K_s,c^2 |P j|^2 with j the lobe's derivative and P the projection off the active columns.
@@ -313,7 +313,7 @@ def _evaluated(points: _Points, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
 
 
 def _refined(points: _Points, t: np.ndarray, lo: np.ndarray, hi: np.ndarray):
-    """Safeguarded Gauss-Newton in t = log gamma between lo and hi; (t, strengths, curvature, rss), all at that t."""
+    """Refine t = log gamma in lo .. hi by safeguarded Gauss-Newton; return (t, strengths, curvature, rss) at that t."""
     real = points.square.dtype
     settled = 1e-3 if real == np.float32 else 1e-9  # of the step before: what is left is far smaller
     t, lo, hi = (values.astype(real) for values in (t, lo, hi))

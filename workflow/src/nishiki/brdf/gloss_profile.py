@@ -65,7 +65,7 @@ class SpecularHistogram:
 
     @classmethod
     def empty(cls, *, regions=1, refractive_index=1.45, value_unit=1.0) -> "SpecularHistogram":
-        """No samples.  value_unit: what counts as 1 when outliers are told apart (radiance of the white reference)."""
+        """Make a histogram of no samples.  value_unit: unit for finding outliers (radiance of the white reference)."""
         if not (refractive_index > 1 and value_unit > 0):
             values = f"{refractive_index}, {value_unit}"
             raise UserError(
@@ -87,7 +87,7 @@ class SpecularHistogram:
         return new
 
     def profile(self, *, region=0, reject=6.0) -> SpecularProfile:
-        """Mean z for each phi, without the values further than `reject` quartile ranges from the row's quartiles.
+        """Average z for each phi, without values further than `reject` quartile ranges from the row's quartiles.
 
         reject = infinity keeps all.  The fence is wide on purpose: noisy normals make z skew within a row, and their
         mean, not their median, is what the errors-in-variables fit needs.
@@ -125,7 +125,7 @@ def _add_samples(phi, residual, attenuation, sigma, value_unit, weights, values,
 
 
 def _profile(weights, values, rows, reject) -> SpecularProfile:
-    """Means of the rows inside the fences."""
+    """Average the rows inside the fences."""
     seen = rows[:, ATTENUATION] > 0
     w, wz, sums = weights[seen], values[seen], rows[seen]
     centre = wz / np.where(w > 0, w, 1)
@@ -172,7 +172,7 @@ EVIDENCE = 4.0  # fall of the squared error, in those of a row, from which the n
 
 @dataclass(frozen=True, eq=False)  # compared and hashed by identity
 class GlossProfile:
-    """beta (lobes,) relative to the white reference, gamma (lobes,) radians; F and G are not in it.
+    """A gloss profile: beta (lobes,) relative to the white reference, gamma (lobes,) radians, without F and G.
 
     A metal has refractive_index MIRROR and no body; its reflectance is that of the mirror, so that its facets' strength
     is one.
@@ -199,11 +199,11 @@ class GlossProfile:
             )
 
     def value(self, phi: np.ndarray) -> np.ndarray:
-        """z at the angle phi of normal and half vector, radians, any shape."""
+        """Compute z at the angle phi of normal and half vector, radians, any shape."""
         return self._sum(phi, self.beta)
 
     def slope(self, phi: np.ndarray) -> np.ndarray:
-        """-dz / d(chord^2), chord = 2 sin(phi / 2): the slope by the cosine of phi, halved; 0 <= phi < pi."""
+        """Compute -dz / d(chord^2), chord = 2 sin(phi / 2): the slope by the cosine of phi, halved; 0 <= phi < pi."""
         return self._sum(phi, self.beta * np.log(2.0) / self.gamma**2) / np.sinc(np.asarray(phi) / np.pi)
 
     def _sum(self, phi, factors):
@@ -212,7 +212,7 @@ class GlossProfile:
             return np.exp2(-exponent) @ factors
 
     def with_strengths(self, beta: np.ndarray) -> "GlossProfile":
-        """Return the same with other strengths; those of a metal go into its colour, up to the reflectance of white.
+        """Return the gloss with other strengths; those of a metal go into its colour, up to the reflectance of white.
 
         A surface that reflects all light from facets of distribution D, the integral of D cos phi being one, has
         z = pi D / 4.
@@ -232,7 +232,7 @@ class GlossProfile:
         return observations if self.colour is None else observations / self.colour.astype(np.float32)
 
     def wider(self, steps: int) -> "GlossProfile":
-        """Return the same gloss with every lobe so many steps of the ladder wider, its power kept."""
+        """Return the gloss with every lobe so many steps of the ladder wider, its power kept."""
         places = np.clip(np.arange(self.gamma.size) + steps, 0, self.gamma.size - 1)
         beta = np.bincount(places, self.beta * (self.gamma / self.gamma[places]) ** 2, self.gamma.size)
         return replace(self, beta=beta)
@@ -247,7 +247,7 @@ class GlossProfile:
 
     @cached_property
     def _table(self) -> np.ndarray:
-        """Made once: lamps that stand near ask for it at every small parcel of the picture."""
+        """The kernel's table, made once: near lamps read it at every small parcel of the picture."""
         steps = np.arange(NODES) / NODES_PER_UNIT
         phi = 2 * np.arcsin(np.minimum(steps / 2, 1))
         passed = body_shading(np.ones(NODES), steps, self)
@@ -266,7 +266,7 @@ class GlossProfile:
         }
 
     def ends(self) -> list[str]:
-        """In words: where the narrowest or widest lobe of the ladder holds much of the gloss: it may go on beyond."""
+        """Describe where the narrowest or widest lobe of the ladder holds much of the gloss, which may go on beyond."""
         total = float(self.beta.sum())
         widths = {"narrowest": self.gamma.argmin(), "widest": self.gamma.argmax()}
         return [
@@ -278,7 +278,7 @@ class GlossProfile:
 
 
 def light_table(directions: np.ndarray, refractive_index: float) -> np.ndarray:
-    """(lights, 8) float64: direction, half vector with the view (0, 0, 1), Fresnel reflectance, cos theta_q."""
+    """Tabulate direction, half vector with view (0, 0, 1), Fresnel reflectance, cos theta_q: (lights, 8) float64."""
     from nishiki.brdf.torrance_sparrow import fresnel
 
     directions = np.asarray(directions, np.float64)
@@ -291,7 +291,7 @@ def light_table(directions: np.ndarray, refractive_index: float) -> np.ndarray:
 
 
 def body_shading(cosine: np.ndarray, normal_z: np.ndarray, gloss: GlossProfile) -> np.ndarray:
-    """Shading of the body below a dielectric: cos times the transmittance in and out, relative to frontal; 0: metal."""
+    """Compute a body's shading below a dielectric: cos times transmittance both ways, relative to frontal; metal: 0."""
     shading = np.clip(cosine, 0, 1) * (gloss.colour is None)
     for angle in (cosine, normal_z) if gloss.transmission else ():
         shading = shading * (1 - gloss.transmission * (1 - transmittance(angle, gloss.refractive_index)))
@@ -299,7 +299,7 @@ def body_shading(cosine: np.ndarray, normal_z: np.ndarray, gloss: GlossProfile) 
 
 
 def specular_samples(observations, directions, normals, reflectance, gloss, *, valid, shading=None):
-    """(phi, residual, F G / cos_r) of every lit sample: (lights, ...) each, attenuation 0 where there is none.
+    """Compute (phi, residual, F G / cos_r) of every lit sample: (lights, ...) each, attenuation 0 where there is none.
 
     observations (lights, ..., C), normals (..., 3), reflectance (..., C), valid (lights, ...) bool; shading (..., 3 or
     5) of `nishiki.brdf.torrance_sparrow`, or None for Lambert's law.
@@ -322,7 +322,7 @@ def specular_samples(observations, directions, normals, reflectance, gloss, *, v
 
 
 def predicted_radiance(directions, normals, reflectance, gloss, *, shading=None):
-    """Body and gloss (lights, ..., C) of pixels under lamps at `directions`; arguments as in `specular_samples`.
+    """Predict body and gloss (lights, ..., C) of pixels under lamps at `directions`; arguments of `specular_samples`.
 
     Gloss at grazing light or view, which no fit uses, is left out.
     """
@@ -368,12 +368,12 @@ def fit_gloss(
 
 
 def blurred_lobes(profile: SpecularProfile, gamma: np.ndarray) -> np.ndarray:
-    """(rows, lobes) mean of each lobe of strength 1 in the rows of a profile, blurred by the rows' sigma."""
+    """Average each lobe of strength 1 over the rows of a profile, blurred by the rows' sigma: (rows, lobes)."""
     return scattered_lobes(gamma, profile.phi, profile.sigma**2)
 
 
 def scattered_lobes(gamma: np.ndarray, phi: np.ndarray, variance: np.ndarray) -> np.ndarray:
-    """Lobes (..., lobes) of strength 1 at angles phi (...,) of half vectors that scatter by a variance (...,).
+    """Evaluate lobes (..., lobes) of strength 1 at angles phi (...,) of half vectors that scatter by a variance (...,).
 
     Directions that scatter by sigma along each tangent turn exp(-phi^2 / 2 s^2) into s^2 / (s^2 + sigma^2)
     exp(-phi^2 / 2 (s^2 + sigma^2)).

@@ -25,15 +25,15 @@ from nishiki.goniometry.directions import unit
 from nishiki.threads import in_threads
 
 Evaluate = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""(n, channels) sr^-1 of unit vectors (n, 3) to light and eye, normal z; 0 below the horizon."""
+"""BRDF (n, channels), sr^-1, of unit vectors (n, 3) to light and eye, normal z; 0 below the horizon."""
 SIDE = 32
 """Nodes of a square of q;"""
 POLAR, AROUND = SIDE, 2 * SIDE + 1
 """of D, sigma and v from the normal to the horizon and around it;"""
 INCIDENT = 16
-"""angles of the light from the normal,"""
+"""Number of angles of the light from the normal."""
 AZIMUTHS = 25
-"""and around it, both ends of the turn counted. Measured in docs/notes/stages/cloth_export.md."""
+"""Number of azimuths of the light, both ends of the turn counted. Measured in docs/notes/stages/cloth_export.md."""
 LOWEST = np.radians(88.0)
 """Largest angle of the light from the normal."""
 LEAST = 1e-3
@@ -88,7 +88,7 @@ class HalfVectorTable:
         return cls(*tables)
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """(..., channels) sr^-1 for unit vectors (..., 3) in the frame x, y, normal; 0 below the horizon."""
+        """Evaluate the BRDF (..., channels), sr^-1, of unit vectors (..., 3) in x, y, normal; 0 below the horizon."""
         incident, outgoing = np.broadcast_arrays(incident, outgoing)
         above = (incident[..., 2] > 0) & (outgoing[..., 2] > 0)
         out = np.zeros((*above.shape, self.channels))
@@ -122,7 +122,7 @@ class HalfVectorTable:
 
 
 def facets_of(evaluate: Evaluate) -> tuple[np.ndarray, np.ndarray]:
-    """D and sigma (around, polar) of a BRDF, by power iteration on what it sends back into the light.
+    """Compute D and sigma (around, polar) of a BRDF, by power iteration on its retroreflection.
 
     Even facets where that is nothing.
     """
@@ -145,7 +145,7 @@ def facets_of(evaluate: Evaluate) -> tuple[np.ndarray, np.ndarray]:
 
 
 def warped(density: np.ndarray, s: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Places x, y (n,) in the square where the warp of a density (rows, columns) carries s and t (n,), 0 to 1."""
+    """Warp s and t (n,), 0 to 1, by a density (rows, columns) to places x, y (n,) in the square."""
     rows, columns = density.shape
     along = running(density)
     totals = along[:, -1]
@@ -164,7 +164,7 @@ def warped(density: np.ndarray, s: np.ndarray, t: np.ndarray) -> tuple[np.ndarra
 
 
 def unwarped(densities: np.ndarray, corners: list, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """s and t (n,) that the warp carries to x and y; its density is the sum of weight densities[at] over corners."""
+    """Find s, t (n,) that the warp carries to x, y; its density is the sum of weight densities[at] over corners."""
     rows, columns = densities.shape[-2:]
     along = running(densities)
     totals = along[..., -1]
@@ -188,13 +188,13 @@ def unwarped(densities: np.ndarray, corners: list, x: np.ndarray, y: np.ndarray)
 
 
 def running(values: np.ndarray) -> np.ndarray:
-    """Integral of linear values over the last axis from its first node to each, in steps between nodes."""
+    """Integrate linear values over the last axis from its first node to each, in steps between nodes."""
     steps = (values[..., 1:] + values[..., :-1]) / 2
     return np.concatenate([np.zeros_like(values[..., :1]), np.cumsum(steps, axis=-1, dtype=np.float64)], axis=-1)
 
 
 def linear_root(first: np.ndarray, second: np.ndarray, area: np.ndarray) -> np.ndarray:
-    """u in 0 to 1 up to which the integral of first + u (second - first) is `area`."""
+    """Find u in 0 to 1 up to which the integral of first + u (second - first) is `area`."""
     slope = second - first
     root = np.sqrt(np.maximum(first**2 + 2 * area * slope, 0))
     return np.clip(2 * area / np.maximum(first + root, 1e-300), 0, 1)
@@ -208,14 +208,14 @@ def between(nodes: np.ndarray, values: np.ndarray) -> list[tuple[np.ndarray, np.
 
 
 def cell(rows: int, columns: int, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, ...]:
-    """First row and column (n,) of the nodes around places x, y (n,), 0 to 1, and the shares of the next ones."""
+    """Find the first row and column (n,) of the nodes around x, y (n,), 0 to 1, and the shares of the next ones."""
     u, v = x * (columns - 1), y * (rows - 1)
     column, row = np.minimum(u.astype(int), columns - 2), np.minimum(v.astype(int), rows - 2)
     return row, column, v - row, u - column
 
 
 def interpolated(table: np.ndarray, x: np.ndarray, y: np.ndarray, at: tuple = ()) -> np.ndarray:
-    """Values (n, ...) of table[at] (rows, columns, ...) at places x, y (n,), 0 to 1."""
+    """Interpolate table[at] (rows, columns, ...) at places x, y (n,), 0 to 1: (n, ...)."""
     rows, columns = table.shape[len(at) : len(at) + 2]
     row, column, v, u = cell(rows, columns, x, y)
     weights = ((1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v)
@@ -231,14 +231,14 @@ def grid_directions() -> np.ndarray:
 
 
 def square_place(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """x and y of unit vectors (n, 3)."""
+    """Map unit vectors (n, 3) to x and y in the square."""
     theta = np.arctan2(np.hypot(directions[:, 0], directions[:, 1]), directions[:, 2])
     phi = np.arctan2(directions[:, 1], directions[:, 0])
     return np.sqrt(np.minimum(theta * 2 / np.pi, 1)), (phi + np.pi) / (2 * np.pi)
 
 
 def trapezoid(count: int) -> np.ndarray:
-    """Weights (count,) of the trapezoid rule over 0 to 1."""
+    """Return the weights (count,) of the trapezoid rule over 0 to 1."""
     weights = np.full(count, 1 / (count - 1))
     weights[[0, -1]] /= 2
     return weights

@@ -38,7 +38,7 @@ def described_ladder(
 
 
 def without_gloss(refractive_index: float, samples: int) -> dict:
-    """Describe a region that is Lambert alone: a lobe of strength 0, nothing fitted; samples: that were looked at."""
+    """Describe a region that is Lambert alone: a lobe of strength 0, nothing fitted; samples: the number examined."""
     return {
         "beta": [0.0],
         "gamma": [GAMMA_BOUNDS[1]],
@@ -65,7 +65,7 @@ def of_equal_lobes(regions: list[dict]) -> list[dict]:
 
 
 def parameters_at_bounds(regions: list[dict]) -> list[str]:
-    """Half widths of fitted lobes that stand at the end of the range on offer, in words."""
+    """Describe the half widths of fitted lobes that stand at the end of the range on offer."""
     names = [f"region {number}" if len(regions) > 1 else "whole scene" for number in range(len(regions))]
     pairs = zip(names, regions, strict=True)
     return [f"{each}, {name}" for name, region in pairs for each in region.get("at_bounds", [])]

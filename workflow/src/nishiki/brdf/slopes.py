@@ -21,7 +21,7 @@ STEEPEST = 0.2  # least n_z from which a slope is formed
 
 
 def slopes_of(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (rows, columns, 2) float32, n_x / n_z and n_y / n_z, and where they are known, (rows, columns) bool.
+    """Compute slopes (rows, columns, 2) float32, n_x / n_z, n_y / n_z, and where they are known, (rows, columns) bool.
 
     normals : (rows, columns, 3) float, unit vectors; others are unknown.
     """
@@ -31,7 +31,7 @@ def slopes_of(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def slope_covariance(normals: np.ndarray) -> np.ndarray:
-    """Covariance of the slopes within each pixel, for normals that change linearly between the pixels' centres.
+    """Compute the slopes' covariance within each pixel, for normals that change linearly between pixel centres.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def slope_covariance(normals: np.ndarray) -> np.ndarray:
 
 
 def products(slopes: np.ndarray) -> np.ndarray:
-    """(..., 3): xx, xy, yy of slopes (..., 2)."""
+    """Multiply slopes (..., 2) into xx, xy, yy (..., 3)."""
     x, y = slopes[..., 0], slopes[..., 1]
     return np.stack([x * x, x * y, y * y], axis=-1)
 
@@ -63,7 +63,7 @@ def products(slopes: np.ndarray) -> np.ndarray:
 def isotropic_lobe(
     cos_phi: np.ndarray | float, cos_i: np.ndarray | float, cos_r: np.ndarray | float, alpha: np.ndarray | float
 ) -> np.ndarray:
-    """D V, 1 / sr, with light and view masked separately.
+    """Compute D V, 1 / sr, with light and view masked separately.
 
     cos_phi, cos_i, cos_r : cosines of the normal with half vector, light and view; alpha : width, above 0, at most 1.
     """
@@ -74,7 +74,7 @@ def isotropic_lobe(
 
 
 def anisotropic_lobe(h: np.ndarray, incident: np.ndarray, outgoing: np.ndarray, x: float, y: float) -> np.ndarray:
-    """D V, 1 / sr, of unit vectors (..., 3) above the horizon, masking correlated by height.
+    """Compute D V, 1 / sr, of unit vectors (..., 3) above the horizon, masking correlated by height.
 
     x, y : widths along the axes, above 0. V is at most 1, as in KHR_materials_anisotropy.
     """
@@ -85,7 +85,7 @@ def anisotropic_lobe(h: np.ndarray, incident: np.ndarray, outgoing: np.ndarray, 
 
 
 def widened_roughness(roughness: np.ndarray | float, variance: np.ndarray | float) -> np.ndarray:
-    """Roughness of a lobe over facets of other slopes: alpha'^2 = alpha^2 + 2 variance, alpha = roughness^2, at most 1.
+    """Widen a lobe's roughness by facet slopes: alpha'^2 = alpha^2 + 2 variance, alpha = roughness^2, at most 1.
 
     variance : of the slopes along any one direction. Olano and Baker (2010), for Beckmann's lobe, whose slopes have the
     variance alpha^2 / 2. Slopes of Trowbridge and Reitz's have none that is finite: the same step stands in for it, and
@@ -95,5 +95,5 @@ def widened_roughness(roughness: np.ndarray | float, variance: np.ndarray | floa
 
 
 def _distribution(q: np.ndarray, area: np.ndarray | float) -> np.ndarray:
-    """D of q and of the product of both widths."""
+    """Compute D from q and the product of both widths."""
     return 1 / (np.pi * area * q**2)

@@ -53,7 +53,7 @@ class HalfVectorGeometry:
 
 
 def half_vector_geometry(normals, lights, views) -> HalfVectorGeometry:
-    """Angles that the model needs, from unit directions of shape (..., 3) that broadcast against each other.
+    """Compute the angles of the model from unit directions of shape (..., 3) that broadcast against each other.
 
     phi is atan2(|n x h|, n . h): acos(n . h) keeps no digit below 1e-8 rad.  cos_q is half the length of light + view,
     which needs no difference of nearly equal numbers.  Where light = -view there is no half
@@ -76,7 +76,7 @@ def half_vector_geometry(normals, lights, views) -> HalfVectorGeometry:
 
 
 def facet_distribution(phi, gamma) -> np.ndarray:
-    """D = exp(-ln 2 (phi / gamma)^2), 1 at phi = 0 and 1/2 at phi = gamma (Tominaga and Tanaka 2004, eq. 11).
+    """Compute D = exp(-ln 2 (phi / gamma)^2), 1 at phi = 0 and 1/2 at phi = gamma (Tominaga and Tanaka 2004, eq. 11).
 
     phi and gamma in radians, broadcast against each other; gamma > 0 and may be infinite (D = 1).  The quotient is
     formed before the square, so that no width underflows.
@@ -90,7 +90,7 @@ def facet_distribution(phi, gamma) -> np.ndarray:
 
 
 def fresnel(cos_theta, refractive_index) -> np.ndarray:
-    """Fresnel reflectance of a smooth dielectric for unpolarised light.
+    """Compute the Fresnel reflectance of a smooth dielectric for unpolarised light.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def fresnel(cos_theta, refractive_index) -> np.ndarray:
 
 
 def masking_over_cos_r(cos_phi, cos_i, cos_r, cos_q) -> np.ndarray:
-    """G / cos_r without its 1 / cos_r singularity: min(1 / cos_r, 2 cos phi min(1, cos_i / cos_r) / cos_q).
+    """Compute G / cos_r without its 1 / cos_r singularity: min(1 / cos_r, 2 cos phi min(1, cos_i / cos_r) / cos_q).
 
     At grazing view (cos_r -> 0 at fixed cos_i) G is proportional to cos_r, so that the quotient tends to
     2 cos phi / cos_q.  0 where light or view is behind the surface.
@@ -164,7 +164,7 @@ def attenuation(geometry: HalfVectorGeometry, refractive_index) -> np.ndarray:
 
 
 def specular(normals, lights, views, *, beta, gamma, refractive_index) -> np.ndarray:
-    """Specular term of the Torrance-Sparrow model, beta D F G / cos(theta_r), relative to the white reference.
+    """Compute the Torrance-Sparrow model's specular term, beta D F G / cos(theta_r), relative to the white reference.
 
     D is the distribution of facets, F the Fresnel reflectance and G the masking of V-shaped grooves. The whole model
     adds rho cos(theta_i), with the diffuse reflectance rho.
@@ -247,7 +247,7 @@ _PHI_SQUARED = (
 
 @njit(cache=True, error_model="numpy")
 def phi_squared(sin2_half):
-    """Squared angle from y = sin(phi / 2)^2, 0 <= y <= 1/2 (phi up to a right angle); relative error below 1e-14."""
+    """Compute the squared angle from y = sin(phi / 2)^2, 0 <= y <= 1/2 (phi <= pi / 2); relative error below 1e-14."""
     c = _PHI_SQUARED
     y = sin2_half
     y2 = y * y
@@ -262,7 +262,7 @@ def phi_squared(sin2_half):
 
 @njit(cache=True, error_model="numpy")
 def fresnel_scalar(cos_theta, refractive_index):
-    """Reflectance of a dielectric; see `torrance_sparrow.fresnel`."""
+    """Compute the reflectance of a dielectric; see `torrance_sparrow.fresnel`."""
     contrast = (refractive_index - 1.0) * (refractive_index + 1.0)
     s = root(contrast + cos_theta * cos_theta) + cos_theta
     d = contrast / s
@@ -275,7 +275,7 @@ _EXPONENTIAL = tuple(1.0 / math.factorial(k) for k in range(13, -1, -1))
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def exp2_negative(e):
-    """2^-e for 0 <= e <= 60, relative error below 4e-12, below 4e-14 for e < 40.
+    """Compute 2^-e for 0 <= e <= 60, relative error below 4e-12, below 4e-14 for e < 40.
 
     Of lanes too, for which there is no library: for t = e ln 2 / 64 <= 0.65 the Taylor series of exp(-t) to t^13, then
     six squarings.
@@ -293,7 +293,7 @@ LAMBERT = (1.0, 0.0, 0.0)
 
 
 def transmittance(cosine: np.ndarray, refractive_index: float) -> np.ndarray:
-    """Light that passes a smooth dielectric surface, relative to normal incidence: (1 - F(c)) / (1 - F(1)).
+    """Compute the transmittance of a smooth dielectric surface relative to normal incidence: (1 - F(c)) / (1 - F(1)).
 
     The body of a varnished paint is lit through its surface and seen through it: its shading is c T(c) T(n . v), and
     its reflectance is that of light and view along the normal (B. Walter et al., EGSR 2007; F: Tominaga and Tanaka
@@ -314,7 +314,7 @@ def transmittance(cosine: np.ndarray, refractive_index: float) -> np.ndarray:
 def body_factor(
     shading: np.ndarray | None, cosine: np.ndarray, half_cosine: np.ndarray, across: np.ndarray | None = None
 ) -> np.ndarray | float:
-    """f of the body shading: what Lambert's cosine is multiplied by.
+    """Compute the factor f of the body's shading, by which Lambert's cosine is multiplied.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ RESPONSE = 0.5  # of white: the response at which the noise for the stage spectr
 
 @dataclass(frozen=True)
 class PhotonTransfer:
-    """Noise of a channel: gain in electrons a code, read noise in codes; each with its standard deviation."""
+    """Noise of a channel: gain in electrons per code, read noise in codes; each with its standard deviation."""
 
     gain: float
     gain_sigma: float
@@ -56,7 +56,7 @@ class PhotonTransfer:
 
 
 def fit_photon_transfer(signals: np.ndarray, variances: np.ndarray, samples: int) -> PhotonTransfer:
-    """Line variance = read_noise^2 + signal / gain, weighted by the scatter of a variance of so many samples.
+    """Fit variance = read_noise^2 + signal / gain, weighted by the scatter of variances of `samples` samples.
 
     signals, variances (levels,) in codes, the dark level subtracted from the signals. A variance v of n samples has
     the standard deviation v sqrt(2 / n); where the levels scatter more, the uncertainties grow with it.
@@ -81,7 +81,7 @@ def fit_photon_transfer(signals: np.ndarray, variances: np.ndarray, samples: int
 
 
 def read_series(table: Path) -> dict[float, list[Path]]:
-    """Photographs by exposure time from a table `file,exposure_s`; 0 stands for the closed lens."""
+    """Read photographs by exposure time from a table `file,exposure_s`; 0 stands for the closed lens."""
     if not table.is_file():
         raise UserError(f"{table}: no such file. Remedy: write a table with the columns file,exposure_s")
     columns, *rows = [cells for _, cells in table_rows(table, table.name)] or [[]]
@@ -99,7 +99,7 @@ def read_series(table: Path) -> dict[float, list[Path]]:
 
 
 def calibrate_camera(table: Path, *, bits: int | None = None) -> Calibration:
-    """Linearity, dark level, noise, shading and defective pixels from a series. UserError where it tells too little."""
+    """Measure linearity, dark level, noise, shading and defects from a series. UserError where it is too short."""
     series = read_series(table)
     pairs = {exposure: paths for exposure, paths in series.items() if len(paths) >= 2 and exposure > 0}
     if 0 not in series or len(series[0]) < 2 or len(pairs) < LEAST_LEVELS:
@@ -195,7 +195,7 @@ def calibrate_camera(table: Path, *, bits: int | None = None) -> Calibration:
 
 
 def _defects(dark: np.ndarray, light: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Hot and dead samples (rows, columns, channels) bool, and the shading (rows, columns), 1 where brightest."""
+    """Find hot and dead samples (rows, columns, channels) bool, and the shading (rows, columns), at most 1."""
     import cv2
 
     away = dark - np.median(dark, axis=(0, 1))
@@ -229,7 +229,7 @@ def _sections(rows, channels, exposures, levels, variances, usable, shading, con
 
 
 def _plot(x, y, usable, channels, x_label, y_label, title) -> str:
-    """Draw the points of every channel that are used, and lines between these."""
+    """Draw the used points of every channel, and lines between them."""
     x = np.broadcast_to(x[:, None] if x.ndim == 1 else x, y.shape)
     curves = [
         Curve(channel, x[usable[:, c], c], y[usable[:, c], c], PALETTE[c % len(PALETTE)], dots=dots)
@@ -270,7 +270,7 @@ def print_board(shape: BoardShape) -> tuple[str, bytes]:
 
 
 def board_poses(pictures: Sequence[BoardCorners], lens: LensFit) -> tuple[np.ndarray, np.ndarray]:
-    """Rotations (n, 3, 3) and translations (n, 3) of the board in the camera's frame (x right, y down, z forward)."""
+    """Compute rotations (n, 3, 3) and translations (n, 3) of the board in camera axes (x right, y down, z forward)."""
     import cv2
 
     rotations, translations = [], []
@@ -285,7 +285,7 @@ def board_poses(pictures: Sequence[BoardCorners], lens: LensFit) -> tuple[np.nda
 
 
 def resting_point(rotations: np.ndarray, translations: np.ndarray) -> dict:
-    """Point of a stage that does not move, and its axis where it has one.
+    """Compute the point of a stage that does not move, and its axis where it has one.
 
     Returns
     -------
@@ -323,7 +323,7 @@ def resting_point(rotations: np.ndarray, translations: np.ndarray) -> dict:
 
 
 def resting_point_with_sigma(rotations: np.ndarray, translations: np.ndarray) -> dict:
-    """`resting_point` with point_sigma and axis_sigma_deg, by the jackknife over the poses."""
+    """Compute `resting_point` with point_sigma and axis_sigma_deg, by the jackknife over the poses."""
     full = resting_point(rotations, translations)
     count = len(rotations)
     full |= {"point_sigma": float("nan"), "axis_sigma_deg": float("nan")}
@@ -344,7 +344,7 @@ def resting_point_with_sigma(rotations: np.ndarray, translations: np.ndarray) ->
 def calibrate_geometry(
     lens_pictures: Sequence[Path], shape: BoardShape, *, stage: Sequence[Path] = (), distortion: str = "tangential"
 ) -> Calibration:
-    """Intrinsics from pictures of a board held in many ways; axis or centre from pictures of it on a moving stage."""
+    """Calibrate intrinsics from pictures of a board in many poses; axis or centre from others on a moving stage."""
     header = read_header(lens_pictures[0])
 
     def grey(path: Path) -> np.ndarray:
@@ -435,7 +435,7 @@ def calibrate_geometry(
 
 
 def _residual_picture(pictures: Sequence[BoardCorners], fit: LensFit, rows: int, columns: int):
-    """All corners in the frame of the photographs, with their residuals enlarged."""
+    """Draw all corners in the frame of the photographs, with their residuals enlarged."""
     import cv2
 
     scale = min(1.0, 800 / max(rows, columns))

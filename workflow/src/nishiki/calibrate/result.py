@@ -20,7 +20,7 @@ from nishiki.version import PROJECT_VERSION
 
 
 def list_photographs(names: Sequence[str], *, what: str = "photographs") -> list[Path]:
-    """Files as given, folders replaced by the photographs in them in natural order; masks in folders are left out.
+    """List files as given, folders replaced by their photographs in natural order, without masks.
 
     UserError where a name is no file, two are called alike, there is none, or sizes differ.
     """
@@ -101,7 +101,7 @@ def write_calibration(folder: Path, result: Calibration) -> None:
 
 
 def put_into_capture(capture: Path, result: Calibration) -> None:
-    """Write the lines and files of a calibration into a capture that is not sealed; comments of its file are lost.
+    """Write the lines and files of a calibration into an unsealed capture; comments of its file are lost.
 
     UserError where it is sealed, or a file of the same name lies there.
     """
@@ -126,5 +126,5 @@ def finite(value: float, digits: int = 6) -> float | None:
 
 
 def _names(lines: object, name: str) -> bool:
-    """Whether lines of capture.yaml name a file."""
+    """Check whether lines of capture.yaml name a file."""
     return lines == name or (isinstance(lines, dict) and any(_names(each, name) for each in lines.values()))

@@ -1,4 +1,4 @@
-"""From photographs of mirror spheres to the result of their calibration: files, numbers, and the page to judge by."""
+"""Calibrate lamps from photographs of mirror spheres: write files, numbers, and a page to review."""
 
 import json
 from pathlib import Path
@@ -56,7 +56,7 @@ def calibrate_spheres(given: SphereInput) -> Calibration:
 
 
 def dome_text(names: list[str], directions: np.ndarray, positions: np.ndarray | None, width_mm: float) -> str:
-    """Relight's description of a dome: lamps in order, lengths in millimetres.
+    """Write Relight's description of a dome: lamps in order, lengths in millimetres.
 
     Directions are from the middle of the picture; `names` are those of the photographs, which Relight does not read.
     """
@@ -162,7 +162,7 @@ def _lamp_section(measured: MeasuredSpheres) -> Section:
 
 
 def _picture_section(found: Findings) -> Section:
-    """Show the photographs with the circles that were taken or not, every sphere with all highlights, and why."""
+    """Show photographs with accepted and rejected circles, every sphere with all highlights, and reasons."""
     figures = []
     for k, outline in enumerate(found.outlines):
         caption = (
@@ -182,7 +182,7 @@ def _picture_section(found: Findings) -> Section:
 
 
 def _comparison(fit: LampFit, names: list[str], path: Path) -> tuple[dict, Section]:
-    """Angles to the directions of another file, by name where it has names, else in order."""
+    """Compute angles to the directions of another file, by name where it has names, else in order."""
     other = read_lights(path, frontal=False)
     if all(file is None for file in other.files):
         if len(other.names) != len(names):

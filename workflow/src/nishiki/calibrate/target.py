@@ -20,16 +20,16 @@ ROWS, COLUMNS = 4, 6
 NEUTRAL = slice(18, 24)
 """The grey scale, from white to black."""
 HALF_WINDOW = 0.2
-"""Half a side of the square that is averaged, in distances between patches: patches are 0.8 wide at the least."""
+"""Half a side of the averaged square, in distances between patches: patches are at least 0.8 wide."""
 WIDEST = 1600
-"""Columns of the picture in which the target is searched."""
+"""Largest width in pixels of the picture in which the target is searched."""
 LIKENESS = 0.9
-"""Correlation of the patches' lightness with the reference below which these are other patches."""
+"""Lowest correlation of the patches' lightness with the reference; lower values mean other patches."""
 
 
 @dataclass(frozen=True)
 class Patches:
-    """What a photograph shows of the 24 patches, in the order of the reference."""
+    """Measurements of the 24 patches in a photograph, in the order of the reference."""
 
     # mean, deviation: (24, 3) float64: of the pixels in the middle of each patch, relative to full scale, as stored
     mean: np.ndarray
@@ -39,7 +39,7 @@ class Patches:
 
     @property
     def usable(self) -> np.ndarray:
-        """(24,) bool: patches that are not clipped."""
+        """(24,) bool: unclipped patches."""
         return self.clipped < SATURATED_SHARE
 
 
@@ -55,7 +55,7 @@ class ColourErrors:
 
     @property
     def summary(self) -> dict[str, float]:
-        """The figures that criteria are stated in."""
+        """Figures compared with the criteria."""
         return {
             "delta_e_mean": float(np.nanmean(self.delta_e)),
             "delta_e_90th_percentile": float(np.nanpercentile(self.delta_e, 90)),
@@ -65,7 +65,7 @@ class ColourErrors:
         }
 
     def as_dict(self) -> dict[str, object]:
-        """Figures of all patches and their summary, as JSON holds them."""
+        """Return the figures of all patches and their summary for JSON."""
         differences = [float(value) if np.isfinite(value) else None for value in self.delta_e]
         return {**self.summary, "lab_d50": self.lab.tolist(), "delta_e": differences}
 
@@ -88,7 +88,7 @@ from published comparisons of the two. Resolution, sharpness, noise, evenness an
 
 
 def verdict(figures: dict[str, float], standard: str) -> str:
-    """Return the best level of a standard whose limits all figures keep; "none" where there is none."""
+    """Return the best level of a standard all of whose limits are met; "none" where there is none."""
     for level, limits in CRITERIA[standard].items():
         if all(figures[name] <= limit for name, limit in limits.items()):
             return level
@@ -96,7 +96,7 @@ def verdict(figures: dict[str, float], standard: str) -> str:
 
 
 def find_target(picture: np.ndarray) -> np.ndarray:
-    """Corners of the middles of the 24 patches of a ColorChecker Classic that a picture shows.
+    """Find the corners of the middles of the 24 patches of a ColorChecker Classic in a picture.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def find_target(picture: np.ndarray) -> np.ndarray:
 
 
 def target_at(corners: np.ndarray) -> np.ndarray:
-    """Corners (24, 4, 2) of the middles of all patches, from those (4, 2) of dark skin, bluish green, black and white.
+    """Compute patch corners (24, 4, 2) from the middles (4, 2) of dark skin, bluish green, black and white.
 
     Raises UserError where these four lie on a line or cross.
     """
@@ -151,13 +151,13 @@ def target_at(corners: np.ndarray) -> np.ndarray:
 
 
 def _grid() -> np.ndarray:
-    """(24, 2) places of the patches, in distances between patches."""
+    """Return places (24, 2) of the patches, in distances between patches."""
     y, x = np.mgrid[:ROWS, :COLUMNS]
     return np.stack([x.ravel(), y.ravel()], axis=-1).astype(np.float64)
 
 
 def _windows(plane: np.ndarray) -> np.ndarray:
-    """(24, 4, 2) corners of the averaged squares, by a homography (3, 3) from the grid to pixels."""
+    """Project corners (24, 4, 2) of the averaged squares by a homography (3, 3) from the grid to pixels."""
     import cv2
 
     square = HALF_WINDOW * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
@@ -166,7 +166,7 @@ def _windows(plane: np.ndarray) -> np.ndarray:
 
 
 def read_patches(values: np.ndarray, corners: np.ndarray, full_scale: float) -> Patches:
-    """Means of the patches in a photograph.
+    """Average the patches in a photograph.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def read_patches(values: np.ndarray, corners: np.ndarray, full_scale: float) -> 
 
 
 def expect_target(linear: np.ndarray, reference: np.ndarray) -> None:
-    """UserError unless linear values (24, 3) are as light and dark as the reference XYZ (24, 3)."""
+    """Raise UserError unless linear values (24, 3) are as light and dark as the reference XYZ (24, 3)."""
     seen, known = np.log(np.maximum(linear.mean(axis=1), 1e-4)), np.log(np.maximum(reference[:, 1], 1e-4))
     if np.corrcoef(seen, known)[0, 1] >= LIKENESS:
         return
@@ -216,7 +216,7 @@ def expect_target(linear: np.ndarray, reference: np.ndarray) -> None:
 
 
 def errors_of(xyz: np.ndarray, reference: np.ndarray, usable: np.ndarray, *, delivered: bool = False) -> ColourErrors:
-    """Colour differences of XYZ (24, 3) from the reference (24, 3), both under D50 with the perfect white at Y = 1.
+    """Compute colour differences of XYZ (24, 3) from the reference (24, 3), both under D50, perfect white Y = 1.
 
     delivered: `xyz` is linear sRGB, of which a viewer of the picture sees the XYZ adapted from D65.
     """
@@ -263,7 +263,7 @@ def fitted_xyz(linear: np.ndarray, reference: np.ndarray, usable: np.ndarray) ->
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Sensitivities that a target supports."""
+    """Sensitivities estimated from a target."""
 
     # (3, 61) float64: on the working grid (400 to 700 nm, every 5 nm), the largest of each channel at 1, never negative
     curves: np.ndarray
@@ -272,7 +272,7 @@ class Sensitivities:
 
 
 def chart_reflectances() -> tuple[tuple[str, ...], np.ndarray]:
-    """Names and reflectances (24, 61) of the ColorChecker Classic: means of thirty charts, BabelColor 2012."""
+    """Return names and reflectances (24, 61) of the ColorChecker Classic: means of thirty charts, BabelColor 2012."""
     colour = _colour_science()
     chart = colour.SDS_COLOURCHECKERS["BabelColor Average"]
     curves = [np.interp(WAVELENGTHS_NM, each.wavelengths, each.values) for each in chart.values()]
@@ -280,7 +280,7 @@ def chart_reflectances() -> tuple[tuple[str, ...], np.ndarray]:
 
 
 def recover(linear: np.ndarray, illuminant: np.ndarray, reflectances: np.ndarray, usable: np.ndarray) -> Sensitivities:
-    """Sensitivities as sums of two principal components of each channel of 28 cameras (Jiang et al. 2013, eq. 5).
+    """Estimate each channel's sensitivity as two principal components of 28 cameras (Jiang et al. 2013, eq. 5).
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def recover(linear: np.ndarray, illuminant: np.ndarray, reflectances: np.ndarray
     illuminant : (61,)
         Spectrum of the lamp on the working grid.
     reflectances : (24, 61)
-        Of the patches.
+        Reflectance of each patch.
     usable : (24,) bool
         Patches that take part.
 
@@ -314,7 +314,7 @@ def recover(linear: np.ndarray, illuminant: np.ndarray, reflectances: np.ndarray
 
 
 def _fit(linear: np.ndarray, illuminant: np.ndarray, reflectances: np.ndarray) -> np.ndarray:
-    """(3, 61) curves, not normalised."""
+    """Fit curves (3, 61), not normalised."""
     colour = _colour_science()
     shape = colour.SpectralShape(400, 700, 10)
     every = slice(None, None, 2)
@@ -329,14 +329,14 @@ def _fit(linear: np.ndarray, illuminant: np.ndarray, reflectances: np.ndarray) -
 
 
 def _responses(curves, illuminant, reflectances, linear, usable) -> np.ndarray:
-    """Values (24, 3) that curves predict, each channel at the scale that suits the usable patches best."""
+    """Predict values (24, 3) from curves, each channel scaled to fit the usable patches best."""
     seen = reflectances @ channel_weights(illuminant, curves).T
     scale = np.sum(seen[usable] * linear[usable], axis=0) / np.sum(seen[usable] ** 2, axis=0)
     return scale * seen
 
 
 def _colour_science():
-    """Import the package without its remarks on other missing packages."""
+    """Import the package without its warnings about other missing packages."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return optional("colour-science")

@@ -1,4 +1,4 @@
-"""From the photograph of a colour target to the result of its calibration, with the page that shows it."""
+"""Calibrate from a photograph of a colour target: write the result and the page that shows it."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,9 +37,9 @@ LABELS = {
     "white_balance_max": "white balance: largest distance in a*b*, grey scale",
 }
 FEWEST = 12
-"""Patches that are not saturated."""
+"""Minimum number of unsaturated patches."""
 UNSURE = 0.003
-"""Residual of left-out patches from which sensitivities deserve no trust: measured on cameras that the method knows and
+"""Residual of omitted patches above which sensitivities are unreliable: measured on cameras that the method knows and
 does not know (docs/calibrate/target.md)."""
 JUDGED = (
     "Judged are colour, tone and white balance of this target alone. Resolution, sharpness, noise, evenness and "
@@ -49,7 +49,7 @@ JUDGED = (
 
 @dataclass(frozen=True)
 class TargetInput:
-    """What a colour target is judged from."""
+    """Input of a colour target's evaluation."""
 
     photograph: Path  # of a ColorChecker Classic
     # of the stored values; None: as the file states; without a statement 8 bits are sRGB, all else is linear
@@ -63,7 +63,7 @@ class TargetInput:
 
 
 def calibrate_target(given: TargetInput) -> Calibration:
-    """Judge the colours of a photographed target; recover the camera's sensitivities where the lamp is known.
+    """Evaluate the colours of a photographed target; recover the camera's sensitivities if the lamp is known.
 
     Raises UserError where no target is found, its corners are wrong, too much of it is saturated, or a table is wrong.
     """
@@ -155,7 +155,7 @@ def _pictures(picture, reference, patches: Patches, judged: dict[str, ColourErro
 
 
 def _mosaic(reference: np.ndarray, errors: ColourErrors):
-    """Squares of the reference colours with those of the photograph inside."""
+    """Draw squares of the reference colours with those of the photograph inside."""
     white = white_xyz(illuminant("D50"))
     outer, inner = (srgb_encode(np.clip(xyz_to_srgb_linear(xyz, white=white), 0, 1)) for xyz in (reference, errors.xyz))
     codes = np.empty((4 * SQUARE, 6 * SQUARE, 3), np.uint8)

@@ -86,7 +86,7 @@ class MosaicLayout:
 
 
 SourceLayout = Layout | RoundLayout | Rendering | MeasuredTable | MosaicLayout
-"""What readers return: `name`, `count` of the photographs, `parts` in words, `geometry`, `channels` and `warnings`.
+"""Return type of readers: `name`, `count` of the photographs, `parts` in words, `geometry`, `channels` and `warnings`.
 Each has a writer, see `convert.WRITERS`."""
 
 
@@ -104,7 +104,7 @@ class FolderLayout:
 
 
 def file_of_cameras(suffix: str, *marks: bytes, name: str = "", places: tuple[str, ...] = (".",)) -> Callable:
-    """Make what finds the only file with a suffix and with these marks in its head; one of this name comes first."""
+    """Make a function that finds the only file with a suffix and these marks in its head; one of this name first."""
 
     def find(source: Path) -> Path | None:
         for folder in filter(Path.is_dir, (source / place for place in places)):
@@ -129,11 +129,11 @@ CAMERAS: tuple[tuple[str, Callable[[Path], Path | None], Callable[[Path, Picture
     ("Metashape", file_of_cameras(".xml", b"<chunk", b"<sensors"), read_metashape),
     ("Bundler", file_of_cameras(".out", b"# Bundle file", name="bundle.out", places=(".", "bundle")), read_bundler),
 )
-"""Programs whose cameras are read: name, what finds their file or folder, and what reads it."""
+"""Camera formats of other programs: name, function that finds file or folder, function that reads it."""
 
 
 def cameras_of(program: str, find: Callable, read: Callable[[Path, Pictures], Registration]) -> FolderLayout:
-    """Make the entry of folders whose cameras a program found."""
+    """Make the registry entry for folders with cameras of another program."""
 
     def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
         pictures = Pictures(source)
@@ -143,7 +143,7 @@ def cameras_of(program: str, find: Callable, read: Callable[[Path, Pictures], Re
 
 
 def find_fields(source: Path, options: ConvertOptions) -> tuple[Field, ...] | None:
-    """Return the fields of a table, or all folders with photographs where the user says that these are fields."""
+    """Return the fields of a table, or all folders with photographs where the user declares them fields."""
     if is_mosaic(source):
         return read_fields(source)
     if not options.fields:
@@ -160,7 +160,7 @@ def find_fields(source: Path, options: ConvertOptions) -> tuple[Field, ...] | No
 
 
 def read_mosaic(source: Path, fields: tuple[Field, ...], options: ConvertOptions) -> MosaicLayout:
-    """Read the folder of each field; lamps that lie beside these folders are those of all fields."""
+    """Read the folder of each field; lamps that lie beside these folders apply to all fields."""
     options.refuse("Each field has a mask of its own: put it beside the photographs", "mask")
     lights = options.lights_file or find_lights_file(source, options)
     options = replace(options, fields=False, lights_file=lights, title=options.title or source.name)
@@ -193,7 +193,7 @@ LAYOUTS = (
 )
 
 LAST_RESORT = FolderLayout("mirror balls", find_photographs, read_with_balls)
-"""Read where no entry of the registry matches. It is none itself, because whether it applies needs all pixels."""
+"""Layout tried where no entry of the registry matches. It is no entry, because the test reads all pixels."""
 
 
 def recognise(source: Path, options: ConvertOptions) -> tuple[FolderLayout, Any] | None:
@@ -302,7 +302,7 @@ JUDGED = (
     *("camera-moved", "lamps-near", "lamp-failed", "photograph-repeated", "room-light", "lights-axes-undecided"),
     *("white-exchanged", "white-disagrees", "view-contradicts", "views-contradict", "mesh-placement"),
 )
-"""Kinds of warnings that photographs give against each other, which `convert` passes on."""
+"""Kinds of warnings from comparing photographs with each other, which `convert` passes on."""
 
 
 def write_mosaic(folder: Path, layout: MosaicLayout, source: Path, options: ConvertOptions) -> list[Problem]:
@@ -325,12 +325,12 @@ WRITERS: dict[type, Callable[..., list[Problem]]] = {
     MeasuredTable: write_table_capture,
     MosaicLayout: write_mosaic,
 }
-"""What writes each kind of layout that a reader of the registry returns."""
+"""Writer of each kind of layout that a reader of the registry returns."""
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """The capture folder made, the layout recognised, the number of photographs, what the user should know."""
+    """Capture folder, recognised layout, number of photographs, and notes for the user."""
 
     folder: Path
     layout: str
@@ -341,7 +341,7 @@ class Conversion:
 
 
 def convert(source: Path | str, target: Path | str, options: ConvertOptions | None = None, **given) -> Conversion:
-    """Make a capture folder from what other programs left, see `registry.LAYOUTS`; it appears whole or not at all.
+    """Make a capture folder from files of other programs, see `registry.LAYOUTS`; it appears whole or not at all.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
     target : Path or str
         Capture folder to make, which must not exist.
     options : ConvertOptions, optional
-        What the user gives beside.
+        Options of the conversion.
     **given
         Fields of ConvertOptions, in place of those of `options`.
 

@@ -37,11 +37,11 @@ LOST_BY_FIT = (
     "cast shadows and highlights are as smooth as that fit made them, what it left over is gone, its coefficients have "
     "8 bits, and neither the scale of brightness nor the strengths and distances of the lamps are known"
 )
-"""What a capture lacks whose pictures were rendered from a relightable image."""
+"""Information missing from a capture whose pictures were rendered from a relightable image."""
 
 
 class LightsFile(Closed):
-    """Where the lamps were."""
+    """Lamp positions or directions, from a lights file."""
 
     file: str
     kind: Literal["direction", "position_mm"] = "direction"
@@ -247,7 +247,7 @@ def _illuminant(settings: Session, named: Callable, attempt: Callable) -> Curves
 
 
 def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> np.ndarray:
-    """Radiometric scale of each light (lights, channels) float64 > 0 from a table with columns light and the channels.
+    """Read the radiometric scale (lights, channels) float64 > 0 from a table with columns light and the channels.
 
     Raises CaptureError (kinds intensities-unreadable, intensities-many, intensities-invalid, intensities-light).
     """
@@ -277,7 +277,7 @@ def read_intensities(path: Path, lights: Lights, channels: tuple[str, ...]) -> n
 
 
 def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFile) -> list[Problem]:
-    """Whether frames and lights belong together, and whether the sample's lights determine normals."""
+    """Check that frames and lights belong together, and that the sample's lights determine normals."""
     problems = lamp_problems(frames, lights, settings.lights.file)
     problems += _band_problems(frames, settings.camera.channels)
     observed = [f for f in frames if f.role in ("sample", "check")]
@@ -301,7 +301,7 @@ def match_frames(frames: tuple[Frame, ...], lights: Lights, settings: CaptureFil
 
 
 def _band_problems(frames: tuple[Frame, ...], channels: tuple[str, ...]) -> list[Problem]:
-    """Whether photographs with a file for each band have one for each of camera.channels."""
+    """Check that photographs with a file for each band have one for each of camera.channels."""
     problems = []
     for frame in frames:
         listed = {channel for part in frame.bands for channel in part.channels}

@@ -42,7 +42,7 @@ class State:
 
 
 def parse_state(text: str, where: str = "polariser") -> State:
-    """State from a cell of frames.csv. CaptureError (polariser-unknown) where it is none."""
+    """Parse the polariser state of a cell of frames.csv. CaptureError (polariser-unknown) where it is none."""
     text = text.strip()
     if not text:
         return State("", "none")
@@ -58,7 +58,7 @@ def parse_state(text: str, where: str = "polariser") -> State:
 
 
 def state_problems(states: tuple[str, ...], file: str) -> list[Problem]:
-    """Whether these states belong together: all of one kind, circular ones both off and on, enough angles."""
+    """Check that states belong together: all of one kind, circular ones both off and on, enough angles."""
     kinds = {parse_state(name).kind for name in states}
     if len(kinds) > 1:
         found = ", ".join(MEANS[kind] for kind in sorted(kinds))
@@ -115,7 +115,7 @@ DIALECTS = {
 
 
 class Band(NamedTuple):
-    """Channels of a photograph that have a file of their own; file: as written, relative to the payload."""
+    """Channels stored in a file of their own; file: as written, relative to the payload."""
 
     channels: tuple[str, ...]
     file: str
@@ -124,7 +124,7 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True)
 class Frame:
-    """One photograph. file: as written, relative to the payload; light: its lamp's name ('' where no lamp burns)."""
+    """One photograph. file: as written, relative to the payload; light: its lamp's name ('' for no burning lamp)."""
 
     file: str
     path: Path
@@ -147,7 +147,7 @@ class Frame:
 
     @property
     def parts(self) -> tuple[Band, ...]:
-        """Every file: of each band, or the photograph's own, whose channels have no names."""
+        """Every file: one per band, or the photograph's single file, without channel names."""
         return self.bands or (Band((), self.file, self.path),)
 
     @property
@@ -296,7 +296,7 @@ def _round_about(frame: Frame, row: dict[str, str], payload: Path, where: str, p
 
 
 def _angle(row: dict[str, str], key: str, unit_deg: float, where: str, problems: list[Problem]) -> float | None:
-    """Degrees of one cell; None where it is empty, or cannot be an angle, which is told."""
+    """Parse an angle in degrees; None where the cell is empty or, with a problem added, the value is impossible."""
     text = row.get(key, "")
     if not text:
         return None
@@ -310,7 +310,7 @@ def _angle(row: dict[str, str], key: str, unit_deg: float, where: str, problems:
 
 
 def lamp_problems(frames: Iterable[Frame], lights: Lights, file: str) -> list[Problem]:
-    """frame-without-light and light-without-frame where frames and lamps of a lights file do not belong together."""
+    """List mismatches of frames and a lights file (frame-without-light, light-without-frame)."""
     frames, problems = list(frames), []
     for frame in frames:
         if frame.light and lights.find(frame.light) is None:
@@ -325,7 +325,7 @@ def lamp_problems(frames: Iterable[Frame], lights: Lights, file: str) -> list[Pr
 
 
 def exposure_problems(frames: Iterable[Frame]) -> list[Problem]:
-    """exposure-partial where some lit frames have an exposure time, f-number or ISO and some have none."""
+    """List exposure-partial where only some lit frames have an exposure time, f-number or ISO."""
     lit = [f for f in frames if f.role in (*LIT_ROLES, "ambient")]
     problems = []
     for column in EXPOSURE_COLUMNS:
@@ -338,7 +338,7 @@ def exposure_problems(frames: Iterable[Frame]) -> list[Problem]:
 
 
 def inside(payload: Path, file: str, where: str) -> Path:
-    """Path of a file that the capture names; CaptureError if it is missing or lies outside the capture.
+    """Return the path of a file that the capture names; CaptureError if it is missing or lies outside the capture.
 
     Absolute names, '..' and links that lead out are refused: a capture must be whole when it is moved or archived.
     """
@@ -389,9 +389,9 @@ class Photographed:
 
     @property
     def sealed(self) -> bool:
-        """Whether the folder is a bag with the digests of all its files."""
+        """Return whether the folder is a bag with the digests of all its files."""
         return (self.root / "bagit.txt").is_file()
 
     def frames_of(self, role: str) -> tuple[Frame, ...]:
-        """Frames of one role, in the order of the table."""
+        """Return the frames of one role, in the order of the table."""
         return tuple(f for f in self.frames if f.role == role)

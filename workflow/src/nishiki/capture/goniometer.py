@@ -1,4 +1,4 @@
-"""A goniometer capture: its description, whether its tables belong together, and the capture as one frozen value."""
+"""Describe, check and read a goniometer capture, as one frozen value."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -72,7 +72,7 @@ class Goniometer(Closed):
 
     @property
     def files(self) -> tuple[tuple[str, str], ...]:
-        """Every file that the block names: (key, file)."""
+        """Every file in the block: (key, file)."""
         return tuple((f"goniometer.{key}", getattr(self, key)) for key in ("table", "regions") if getattr(self, key))
 
 
@@ -103,7 +103,7 @@ class GoniometerFile(Session):
 
     @property
     def white_reflectance(self) -> tuple[float, ...]:
-        """Of the board, one a channel of the camera."""
+        """Reflectance of the white board, one per camera channel."""
         given = self.goniometer.white_reflectance
         return given if isinstance(given, tuple) else (given,) * len(self.camera.channels)
 
@@ -154,7 +154,7 @@ def _angle_problems(frame: Frame) -> list[Problem]:
 
 
 def _spread_problems(samples: list[Frame], whites: list[Frame]) -> list[Problem]:
-    """List what the later stages will miss, although the capture can be read."""
+    """List what the later stages will lack, although the capture can be read."""
     problems = []
     normal = [f for f in samples if f.angles_deg[0] < NORMAL_DEG]
     if len(normal) < FEWEST_NORMAL:
@@ -174,7 +174,7 @@ def _spread_problems(samples: list[Frame], whites: list[Frame]) -> list[Problem]
 
 
 def nearest(directions: list[tuple[float, float]], others: list[tuple[float, float]]) -> np.ndarray:
-    """Angle in degrees from each direction (theta, phi in degrees) to the nearest of the others, infinite for none."""
+    """Compute the angle in degrees from each direction (theta, phi in degrees) to the nearest other; inf for none."""
     from scipy.spatial import cKDTree
 
     if not others:
@@ -186,7 +186,7 @@ def nearest(directions: list[tuple[float, float]], others: list[tuple[float, flo
 
 @dataclass(frozen=True)
 class GoniometerCapture(Photographed):
-    """A cloth under a goniometer.
+    """A cloth on a goniometer.
 
     frames: none where there is a table; table: the reflectances given instead, or None; regions: label picture of the
     cloth, or None; warnings: what was tolerated.

@@ -1,4 +1,4 @@
-"""Tables of reflectances against angles: reading them, in every unit, and writing them as captures."""
+"""Read tables of reflectances against angles, in every unit, and write them as captures."""
 
 import re
 from array import array
@@ -31,7 +31,7 @@ QUANTITIES = {
     "angle": re.compile(r"(?<![a-z])(theta|phi|angle|azimuth|polar)(?![a-z])"),
     "BRDF (1/sr)": re.compile(r"(?<![a-z])(brdf|sr)(?![a-z])"),
 }
-"""What the name of a column says of its quantity, looked for in this order without capitals."""
+"""Patterns that identify a column's quantity, tried in this order, case-insensitive."""
 BRDF, UNSAID = "BRDF (1/sr)", "no quantity in the name"
 BINARY_BYTES = {".bin": UTIA_BYTES, ".binary": MERL_BYTES}
 """Length of tables without a heading, by suffix."""
@@ -92,7 +92,7 @@ def _as_brdf(table: ReflectanceTable, values: str, azimuths: str) -> Reflectance
 
 
 def is_table(path: Path, *, named: bool = False) -> bool:
-    """Whether a file is a table of reflectances, by its suffix and its heading, or its length where it has no heading.
+    """Check whether a file is a table of reflectances, by its suffix and its heading, or its length without a heading.
 
     named: the user names the file itself, so that the length does not matter: reading it tells what is wrong.
     """
@@ -111,7 +111,7 @@ def is_table(path: Path, *, named: bool = False) -> bool:
 
 
 def angle_column(column: str) -> tuple[str, str]:
-    """Return which of ANGLES a column holds, and its unit (deg, rad or '' where untold); else the column itself."""
+    """Return which of ANGLES a column holds, and its unit (deg, rad or '' if not stated); else the column itself."""
     match = ANGLE.fullmatch(column.strip().casefold())
     if match is None:
         return column, ""
@@ -120,7 +120,7 @@ def angle_column(column: str) -> tuple[str, str]:
 
 
 def _csv(lines: Rows, name: str, values: str) -> tuple[np.ndarray, tuple[str, ...], array, list[Problem]]:
-    """Rows (n, 4 + channels), angles in degrees first; channel names; line number of each row; what to know."""
+    """Parse rows (n, 4 + channels), angles in degrees first; channel names; line number of each row; notes."""
     columns = next(lines, (0, []))[1]
     expect_rows(len(columns), "table_columns", name, "table")
     named = [angle_column(column) for column in columns]
@@ -151,7 +151,7 @@ def _csv(lines: Rows, name: str, values: str) -> tuple[np.ndarray, tuple[str, ..
 
 
 def _to_degrees(rows: np.ndarray, units: dict[str, str], name: str) -> list[Problem]:
-    """Bring angles, the first four columns, to degrees; tell where their unit was found from their size.
+    """Convert angles, the first four columns, to degrees; report where their unit was inferred from their size.
 
     CaptureError (angles-radians) where columns named _deg hold radians.
     """
@@ -170,7 +170,7 @@ def _to_degrees(rows: np.ndarray, units: dict[str, str], name: str) -> list[Prob
 
 
 def _expect_reflectances(channels: tuple[str, ...], name: str, values: str) -> None:
-    """Raise CaptureError (table-quantities) unless all columns hold the quantity `values`, as far as names tell."""
+    """Raise CaptureError (table-quantities) unless all columns hold the quantity `values`, judged by their names."""
     held: dict[str, list[str]] = {}
     for channel in channels:
         words = channel.casefold().replace("_", " ").replace("-", " ")
@@ -270,7 +270,7 @@ def in_radians(angles: np.ndarray) -> bool:
 
 
 def radians_problem(file: str) -> Problem:
-    """angles-radians, for angles named in degrees of which none is above a turn in radians."""
+    """Make the problem angles-radians: angles named in degrees, none of which is above a turn in radians."""
     what, expected = "the angles are radians: no theta is above pi / 2, no phi above 2 pi", "degrees"
     remedy = f"Name the columns {', '.join(RADIAN_COLUMNS)}"
     return error("angles-radians", file, what, expected=expected, remedy=remedy)

@@ -1,4 +1,4 @@
-"""Recognised layouts of planes, turntables and tables of reflectances written as capture folders."""
+"""Write recognised layouts of planes, turntables and tables of reflectances as capture folders."""
 
 import re
 from collections import Counter
@@ -43,7 +43,7 @@ ORDER = ("file", "role", "view", "light", "polariser", "silhouette", "band", *EX
 
 
 def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOptions) -> list[Problem]:
-    """Write the capture into a new folder; returns what the user should know.
+    """Write the capture into a new folder; return notes for the user.
 
     Raises CaptureError: file-missing, light-unknown, and those of `pair_by_name` and of reading headers.
     """
@@ -110,7 +110,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
 
 
 Chosen = tuple[Path, str, str, str]
-"""A file that is taken over, its role, its lamp and its band."""
+"""A file to include, its role, its lamp and its band."""
 
 
 def _choose_files(layout: Layout, roles: list[str], options: ConvertOptions) -> tuple[list[Chosen], list[Problem]]:
@@ -186,7 +186,7 @@ def _write_intensities(path: Path, names: Sequence[str], values: np.ndarray, cha
 
 
 def write_round(folder: Path, layout: RoundLayout, source: Path, options: ConvertOptions) -> list[Problem]:
-    """Write the capture into a new folder; returns what the user should know.
+    """Write the capture into a new folder; return notes for the user.
 
     The folder of silhouettes (`mask`) holds pictures named as the photographs; that of white boards, called by their
     polariser state (off, on, 45, 0_90) where there are states. Raises CaptureError (option-unusable, folder-missing,
@@ -292,7 +292,7 @@ def _states_of(boards: list[Path], layout: RoundLayout, folder: str) -> list[tup
 
 
 def _state(name: str) -> str | None:
-    """Polariser state that a name tells, 'G_A' being two angles; None where it tells none."""
+    """Return the polariser state that a name contains, 'G_A' being two angles; None where it contains none."""
     match = STATES.fullmatch(name)
     try:
         return parse_state(f"{match[1]}/{match[2]}" if match else name.casefold()).name
@@ -311,7 +311,7 @@ class MeasuredTable:
 
     @property
     def warnings(self) -> tuple[Problem, ...]:
-        """What reading tolerated."""
+        """Tolerated faults of the table."""
         return self.content.warnings
 
     @property
@@ -353,7 +353,7 @@ def read_measurements(source: Path, table: Path, options: ConvertOptions) -> Mea
 
 
 def write_table_capture(folder: Path, layout: MeasuredTable, source: Path, options: ConvertOptions) -> list[Problem]:
-    """Take the table over unchanged into a new folder; nothing about it is doubtful."""
+    """Copy the unchanged table into a new folder; return no notes."""
     table = layout.file
     folder.mkdir(parents=True)
     name = take(table, folder / table.name, options.link)

@@ -1,4 +1,4 @@
-"""Folders of photographs as other projects leave them: which picture belongs to which lamp."""
+"""Read folders of photographs from other projects: which picture belongs to which lamp."""
 
 import math
 import os
@@ -79,17 +79,17 @@ class Layout(SourcePhotographs):
 
 
 def natural_parts(text: str) -> list:
-    """Sort key in which cat.2 comes before cat.10."""
+    """Split a name into sort keys by which cat.2 comes before cat.10."""
     return [int(part) if part.isdecimal() else part.casefold() for part in re.split(r"([0-9]+)", text)]
 
 
 def natural_key(path: Path) -> list:
-    """`natural_parts` of a file's name."""
+    """Return `natural_parts` of a file's name."""
     return natural_parts(path.name)
 
 
 def photographs_in(folder: Path) -> list[Path]:
-    """Pictures of a folder in natural order: no masks, no hidden files, of relight's folders no planes and maps.
+    """List a folder's pictures in natural order: no masks, no hidden files, of relight's folders no planes and maps.
 
     CaptureError (outside-folder, name-unusable) where one is a link that leads out of the folder, or its name cannot
     be that of a file in a capture.
@@ -109,7 +109,7 @@ def photographs_in(folder: Path) -> list[Path]:
 
 
 def _refuse_unread(folder: Path) -> None:
-    """CaptureError (image-unsupported) where a folder holds pictures, but of formats that are not read."""
+    """Raise CaptureError (image-unsupported) where a folder holds only pictures of unsupported formats."""
     unread = [path.name for path in files_with(folder, UNREAD_SUFFIXES)]
     if unread:
         expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
@@ -121,7 +121,7 @@ def _refuse_unread(folder: Path) -> None:
 
 
 def source_problems(path: Path, folder: Path) -> list[Problem]:
-    """Whether a file may be taken over from a folder: what a link elsewhere shows is no part of that folder."""
+    """Check that a file belongs to its folder: a link to a file elsewhere does not."""
     if not is_plain(path.name) or len(os.fsencode(path.name)) > NAME_BYTES:
         what, remedy = "name of a photograph", f"Rename it: at most {NAME_BYTES} bytes of UTF-8, no control characters"
         return [error("name-unusable", path.name, what, found=repr(path.name[:60]), remedy=remedy)]
@@ -152,7 +152,7 @@ def find_lights_file(source: Path, options: ConvertOptions) -> Path | None:
 
 
 def read_with_lights_file(source: Path, file: Path, options: ConvertOptions) -> Layout:
-    """Read the lights, find their photographs, and decide by these what the file leaves open."""
+    """Read the lights, find their photographs, and resolve with these whatever the file leaves open."""
     stated = state_lights(source, file, options)
     return _settled(_with_lights(source, stated, file, options.mask or find_mask(source)), stated, file, options)
 
@@ -167,7 +167,7 @@ def state_lights(source: Path, file: Path, options: ConvertOptions) -> StatedLig
 
 
 def _settled(layout: Layout, stated: StatedLights, file: Path, options: ConvertOptions) -> Layout:
-    """Add to the layout what the file states beside its lamps, and what the photographs decide."""
+    """Complete the layout with further statements of the file and decisions based on the photographs."""
     sample = cache(lambda: sample_photographs(layout.photographs, options.encoding))
     if len(layout.lights.names) != len(stated.lights.names):  # a line a band
         stated = replace(stated, intensities=None, rival=None, shifts=None)
@@ -190,7 +190,7 @@ def _settled(layout: Layout, stated: StatedLights, file: Path, options: ConvertO
 
 
 def settle_directions(layout: Layout, options: ConvertOptions) -> Layout:
-    """Place lamps of known directions at the distance that the photographs show, where the user says they are near."""
+    """Estimate the distance of near lamps of known directions from the photographs."""
     kind = "position_mm" if options.lights_kind == "position_mm" else "direction"
     stated = StatedLights(layout.lights, kind, intensities=layout.intensities)
     return _settled(layout, stated, Path(layout.name), options)
@@ -227,14 +227,14 @@ def find_mask(source: Path) -> Path | None:
 
 
 def masks_in(folder: Path) -> list[Path]:
-    """Pictures of a folder whose names hold the word mask. CaptureError: outside-folder, name-unusable."""
+    """List pictures of a folder whose names hold the word mask. CaptureError: outside-folder, name-unusable."""
     masks = [path for path in files_with(folder, MASK_SUFFIXES) if MASK_WORD.search(path.stem)]
     raise_errors(problem for path in masks for problem in source_problems(path, folder))
     return masks
 
 
 def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Path | None) -> Layout:
-    """Photographs named in the lights file; where it names none, in the natural order of their names."""
+    """Match photographs to a lights file: by the names in it, else in the natural order of their names."""
     kind = "position_mm" if stated.open_kind else stated.kind
     banded = find_bands(source, stated.lights, photographs_in, kind=kind)
     if banded is not None:
@@ -341,7 +341,7 @@ def read_with_spheres(source: Path, probes: list[Path], options: ConvertOptions)
 
 
 def _circle(probe: Path) -> tuple[float, float, float]:
-    """Height, column and radius in pixels of a mirror sphere. PSBox counts from 1, and rows from the bottom."""
+    """Read row, column and radius in pixels of a mirror sphere. PSBox counts from 1, and rows from the bottom."""
     file = f"{probe.name}/{PROBE_DATA}"
     try:
         with reading(file, "probe"):
@@ -356,7 +356,7 @@ def _circle(probe: Path) -> tuple[float, float, float]:
 
 
 def _towards_lamp(path: Path, height: float, column: float, radius: float) -> np.ndarray:
-    """Direction of the lamp that a mirror sphere shows. CaptureError (probe-unreadable) where it shows none.
+    """Measure the lamp's direction on a mirror sphere. CaptureError (probe-unreadable) where it shows none.
 
     height : of the sphere's centre above the lower edge of the picture, in pixels (the lowest row is 1).
     """
@@ -381,7 +381,7 @@ def _in_order(
     *,
     kind: str = "direction",
 ) -> Layout:
-    """Directions without names, given to the photographs in the natural order of their names."""
+    """Assign directions without names to the photographs in the natural order of their names."""
     named = lights_from_vectors([light_name(p.name) for p in present], lights.vectors, file=str(source.name), kind=kind)
     what = "directions have no file names: given to the photographs in the natural order of their names"
     found = f"{present[0].name} ... {present[-1].name}"

@@ -1,4 +1,4 @@
-"""Where the lamps were: `.lp` files in all their dialects, plain direction lists, and tables.
+"""Read lamp positions and directions: `.lp` files in all their dialects, plain direction lists, and tables.
 
 A `.lp` file begins with the number of lights; each further line is `[file name] x y z`. In the wild one finds decimal
 commas, commas or semicolons between the numbers, Windows paths, quoted names with blanks, no names at all, vectors that
@@ -85,7 +85,7 @@ def read_numbers(path: Path, encoding: str | None = None) -> tuple[list[str | No
 
 
 def is_unicode(path: Path) -> bool:
-    """Whether a lights file says what its letters are, so that no code page has to be guessed."""
+    """Check whether the encoding of a lights file is known to be Unicode, so that no code page has to be guessed."""
     with reading(path.name, "lights"):
         content = read_bytes(path, "table_bytes", name=path.name)
     try:
@@ -96,7 +96,7 @@ def is_unicode(path: Path) -> bool:
 
 
 def _decoded(content: bytes, encoding: str | None = None) -> str:
-    """Text of a lights file: UTF-16 by its mark, UTF-8, or a code page, Latin-1 if none is given."""
+    """Decode a lights file: UTF-16 by its mark, UTF-8, or a code page, Latin-1 if none is given."""
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
     try:
@@ -146,7 +146,7 @@ def lights_from_vectors(
 
 
 def rearrange(lights: Lights, order: str | None, axes: str | None) -> tuple[Lights, np.ndarray]:
-    """Give the photographs other lamps of the list, and the lamps other axes.
+    """Reorder the lamps among the photographs, and change the lamps' axes.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def _order_of(text: str, count: int) -> np.ndarray:
 
 
 def direction_problems(directions: np.ndarray, file: str) -> list[Problem]:
-    """Whether these directions (lights, 3) can determine a normal: three or more, not all in one plane."""
+    """Check that directions (lights, 3) determine a normal: three or more, not all in one plane."""
     if len(directions) < 3:
         return [error("lights-few", file, f"expected photographs under at least 3 lights, found {len(directions)}")]
     values = np.linalg.svd(directions, compute_uv=False)
@@ -207,7 +207,7 @@ def direction_problems(directions: np.ndarray, file: str) -> list[Problem]:
 
 
 def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None], list[list[float]]]:
-    """`.lp` (counted) or a bare list of vectors, one a line."""
+    """Parse a `.lp` (counted) or a bare list of vectors, one a line."""
     lines = list(islice(_kept(text), bound("lights") + 2))  # the first may be the count
     expect_rows(len(lines) - 1, "lights", file, "lights")
     declared = None
@@ -237,14 +237,14 @@ def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None
 
 
 def _kept(text: str) -> Iterator[tuple[int, str]]:
-    """Lines that are neither empty nor comments, with their numbers from 1."""
+    """Yield lines that are neither empty nor comments, with their numbers from 1."""
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         if line.strip() and not line.strip().startswith(("#", "//")):
             yield number, line.strip()
 
 
 def _parse_line(line: str) -> tuple[str | None, list[float]] | None:
-    """Name (or None) and numbers of one line: all that follow the name of a picture, else the last three.
+    """Parse name (or None) and numbers of a line: all that follow the name of a picture, else the last three.
 
     None where it is no such line.
     """
@@ -283,7 +283,7 @@ def _name_before(line: str, tokens: list[str], start: int) -> str | None:
 
 
 def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[Any], list[list[float]]]:
-    """lights.csv: light,x,y,z or light,azimuth_deg,polar_deg (azimuth from x towards y; polar from the normal)."""
+    """Parse lights.csv: light,x,y,z or light,azimuth_deg,polar_deg (azimuth from x to y; polar from the normal)."""
     rows = cells_of(_kept(text))
     columns = next(rows, (0, []))[1]
     cartesian, angular = ["light", "x", "y", "z"], ["light", "azimuth_deg", "polar_deg"]
@@ -306,5 +306,5 @@ def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[Any], lis
 
 
 def from_angles(azimuth: np.ndarray, polar: np.ndarray) -> np.ndarray:
-    """Directions (..., 3) of azimuths from x towards y and of angles from the normal, radians."""
+    """Compute directions (..., 3) from azimuths (x towards y) and angles from the normal, in radians."""
     return np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)

@@ -1,4 +1,4 @@
-"""The capture of a painting in overlapping fields: one table, and an ordinary capture of a plane for each field."""
+"""Read the capture of a painting in overlapping fields: one table, and an ordinary plane capture for each field."""
 
 import hashlib
 import math
@@ -43,7 +43,7 @@ class MosaicCapture:
 
     @property
     def sealed(self) -> bool:
-        """Whether each field is."""
+        """Return whether every field is sealed."""
         return all(capture.sealed for capture in self.captures)
 
     @property
@@ -53,7 +53,7 @@ class MosaicCapture:
         return hashlib.sha256("".join(sorted(rows)).encode()).hexdigest()
 
     def __getattr__(self, name: str) -> Any:
-        """Return what all fields have in common (settings, curves), from the first of them."""
+        """Return attributes that all fields share (settings, curves), from the first field."""
         if name in ("settings", "sensitivities", "illuminant"):
             return getattr(self.captures[0], name)
         raise AttributeError(name)
@@ -108,7 +108,7 @@ def read_fields(root: Path) -> tuple[Field, ...]:
 def _field(
     root: Path, cells: dict[str, str], where: str, before: dict[str | Path, Field], problems: list[Problem]
 ) -> Field:
-    """Read one row; what is wrong with it is added to the problems."""
+    """Read one row; add its faults to the problems."""
     name, place = cells.get("field", ""), cells.get("path", "").rstrip("/")
     if not NAME.fullmatch(name):
         expected = "letters, digits and _, single - between them, at most 30 characters"
@@ -135,7 +135,7 @@ def _field(
 
 
 def examine_mosaic(root: Path, examine: Callable) -> tuple[MosaicCapture | None, list[Problem]]:
-    """Read the table and the captures of all fields by `examine`; None where some cannot be read; everything wrong."""
+    """Read the table and all fields' captures by `examine`; None where some cannot be read; list every problem."""
     try:
         fields = read_fields(root)
     except CaptureError as e:
@@ -169,7 +169,7 @@ def within(field: Field, problems: list[Problem]) -> list[Problem]:
 
 
 def _differences(first: str, usual: Any, place: str, other: Any) -> list[Problem]:
-    """List what a field has otherwise than the first, where all fields of a mosaic must be alike."""
+    """List properties in which a field differs from the first, where all fields of a mosaic must be equal."""
     remedy = "All fields are planes, photographed by one camera under the same lamps; all or none state their scale"
     if other.geometry != "plane":
         return [error("fields-differ", place, "geometry", expected="plane", found=other.geometry, remedy=remedy)]

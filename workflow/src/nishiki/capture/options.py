@@ -1,4 +1,4 @@
-"""Options of `convert`, which every reader of a folder layout gets, and their checks."""
+"""Declare and check the options of `convert`, which every reader of a folder layout gets."""
 
 import dataclasses
 from collections.abc import Callable
@@ -12,7 +12,7 @@ Values = Literal["brdf", "radiance_factor", "radiance_factor_percent", "brdf_cos
 Azimuths = Literal["cloth", "lamp", "mirror"]
 ANGLES = ("azimuth_elevation", "elevation_azimuth", "azimuth_polar", "polar_azimuth")
 LIGHT_KINDS = ("direction", "position_mm", *ANGLES)
-"""What the numbers of a lights file can be; angles in degrees or radians by their range, azimuth from x (right) towards
+"""Kinds of numbers in a lights file; angles in degrees or radians by their range, azimuth from x (right) towards
 y (up), elevation from the object's plane, polar from its normal."""
 NO_PHOTOGRAPHS = "What is converted holds no photographs; leave the option out"
 
@@ -24,7 +24,7 @@ def declared(spelling: str, text: str, default: Any = None, **how: Any) -> Any:
 
 @dataclass(frozen=True)
 class ConvertOptions:
-    """What a user gives `convert` beside source and target; each field is declared with its help.
+    """Options that a user gives `convert` beside source and target; each field is declared with its help.
 
     None stands for what is usual, or what the source itself tells. lights_order: see `lights.rearrange`; white: see
     `pairing.pair_by_name`; camera_of: the camera, by the name of another view, of each view that has not its own;
@@ -105,7 +105,7 @@ class ConvertOptions:
                 refuse("option-unusable", name, "no length", expected="millimetres", found=f"{length:g}")
 
     def refuse(self, remedy: str, *fields: str) -> None:
-        """Raise CaptureError (option-unusable) where one of these fields, which mean nothing to a layout, is given."""
+        """Raise CaptureError (option-unusable) where one of these fields, which a layout does not use, is given."""
         spelling = {each.name: each.metadata["spelling"] for each in dataclasses.fields(self) if each.metadata}
         given = [spelling[name].split()[0].removeprefix("--") for name in fields if getattr(self, name)]
         if given:

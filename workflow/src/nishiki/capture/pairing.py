@@ -1,4 +1,4 @@
-"""Which files belong together: photographs and their masks or boards by name, files of one band each by lamp.
+"""Match files: photographs with their masks or boards by name, files of one band each by lamp.
 
 Pictures belong together by the part of their names that varies: what all names of a folder begin or end with is left
 out of account (`painting_L1`, `painting_H1` and `board_L1`, `board_H1` give `L1` and `H1` in both folders), as are
@@ -28,7 +28,7 @@ Token = str | int
 
 
 class Pairing(NamedTuple):
-    """partners[i] belongs to photograph i; warnings: what was guessed, and what was left out."""
+    """partners[i] belongs to photograph i; warnings: guesses and omitted files."""
 
     partners: tuple[Path, ...]
     warnings: tuple[Problem, ...] = ()
@@ -78,7 +78,7 @@ def pair_by_name(photographs: Sequence[Path], others: Sequence[Path], *, what: s
 
 
 def names_apart(paths: Sequence[Path], folder: str) -> list[tuple[Token, ...]]:
-    """Strip names of what they all begin and end with; one name alone has no part that varies: ().
+    """Strip the common start and end from names; one name alone has no part that varies: ().
 
     CaptureError (pairing-ambiguous) where two agree.
     """
@@ -121,14 +121,14 @@ PATTERNS = (
 
 
 class BandFiles(NamedTuple):
-    """channels: names of the bands in order; files: by lamp, in natural order, the file of each channel that it has."""
+    """channels: names of the bands in order; files: by lamp, in natural order, the file of each available channel."""
 
     channels: tuple[str, ...]
     files: dict[str, dict[str, Path]]
 
 
 class BandedPhotographs(NamedTuple):
-    """files[i][k] is channel k under lights.names[i]; warnings: what was assumed, and what was left out."""
+    """files[i][k] is channel k under lights.names[i]; warnings: assumptions and omitted files."""
 
     lights: Lights
     channels: tuple[str, ...]
@@ -192,7 +192,7 @@ def find_bands(
 def complete_bands(
     channels: Sequence[str], files: dict[str, dict[str, Path]], folder: str
 ) -> tuple[tuple[Path, ...], ...]:
-    """List the files (lamps, channels). CaptureError: band-missing for each lamp that lacks one, band-channels."""
+    """List the files (lamps, channels). CaptureError: band-missing for each lamp without one, band-channels."""
     lacking = {lamp: ", ".join(name for name in channels if name not in bands) for lamp, bands in files.items()}
     problems = [
         error("band-missing", folder, f"lamp '{lamp}' has no photograph in {names}")
@@ -212,7 +212,7 @@ def complete_bands(
 
 
 def _all_pictures(source: Path, pictures: Callable[[Path], list[Path]]) -> list[Path]:
-    """Pictures of a folder; where it has none, those of the folders in it."""
+    """List pictures of a folder or, where it has none, of the folders in it."""
     inner = sorted(path for path in source.iterdir() if path.is_dir())
     return pictures(source) or [path for folder in inner for path in pictures(folder)]
 

@@ -98,7 +98,7 @@ def read_bundler(path: Path, pictures: Pictures) -> Registration:
 
 
 def _names(path: Path, folder: Path) -> list[str]:
-    """Photographs by camera, from the list beside the file or in the folder of the photographs.
+    """Read the photographs by camera, from the list beside the file or in the folder of the photographs.
 
     CaptureError (photographs-count) without a list: nothing else tells which camera took which.
     """
@@ -119,7 +119,7 @@ def _names(path: Path, folder: Path) -> list[str]:
 
 
 def _furthest(lines: list[bytes], count: int) -> np.ndarray:
-    """(cameras, 2): largest distance of points from the middle of each photograph, across and up, of the first ones."""
+    """Compute (cameras, 2): largest distance of points from each photograph's middle, across and up; first points."""
     seen = np.zeros((count, 2))
     for line in lines[2 : 3 * POINTS : 3]:
         words = line.split()
@@ -173,7 +173,7 @@ def read_meshroom(path: Path, pictures: Pictures | None = None) -> Registration:
 
 
 def _meshroom_lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tuple[int, int, Intrinsics]:
-    """Rows, columns, and the lens in pixels, by the version of the file.
+    """Compute rows, columns, and the lens in pixels, by the version of the file.
 
     Before 1.2 there is one focal length in pixels, in 1.2.0 and 1.2.1 two; from 1.2.2 on one in millimetres and
     `pixelRatio`, which is fx / fy before 1.2.5 and fy / fx from then on. The principal point counts from the corner
@@ -197,7 +197,7 @@ def _meshroom_lens(intrinsic: dict, version: tuple[int, ...], file: str) -> tupl
 
 
 def _distortion(intrinsic: dict, file: str) -> tuple[float, ...]:
-    """Brown's k1, k2, p1, p2, k3. CaptureError (cameras-distorted) where the lens has another kind of distortion."""
+    """Return Brown's k1, k2, p1, p2, k3. CaptureError (cameras-distorted) for other kinds of distortion."""
     model = intrinsic["type"]
     kind = intrinsic.get("distortionType", model) if model == "pinhole" else model
     undone = intrinsic.get("undistortionType", "none") not in ("none", "")
@@ -275,7 +275,7 @@ def _chunk(chunk: ElementTree.Element, file: str) -> Registration:
 def _in_world(
     placed: list[np.ndarray], components: list, worlds: dict, own: tuple | None, file: str
 ) -> tuple[list[np.ndarray], list[Problem]]:
-    """Cameras (3, 4) in the world of the component's transform, else of the chunk's, else in their own."""
+    """Transform cameras (3, 4) to the world of the component, else of the chunk, else leave them in their own."""
     transforms = [worlds.get(component) or own for component in components]
     if None in transforms and len(set(components)) > 1:
         raise ValueError("cameras of several components, not all with a transform: their places are not of one world")
@@ -294,7 +294,7 @@ def _in_world(
 
 
 def _transform(element: ElementTree.Element | None) -> tuple[float, np.ndarray, np.ndarray] | None:
-    """Scale, rotation (3, 3) and translation (3,); None where the file has none."""
+    """Parse scale, rotation (3, 3) and translation (3,); None where the file has none."""
     if element is None or element.find("rotation") is None:
         return None
     rotation, translation = (
@@ -305,7 +305,7 @@ def _transform(element: ElementTree.Element | None) -> tuple[float, np.ndarray, 
 
 
 def _sensor_lens(sensor: ElementTree.Element, file: str) -> tuple[tuple[int, int], Intrinsics]:
-    """Rows and columns, and the lens in pixels from the centre of the first one, as adjusted if it was."""
+    """Read rows, columns and the lens in pixels from the centre of the first one, adjusted values first."""
     label, kind = sensor.get("label"), sensor.get("type", "frame")
     lenses = sensor.findall("calibration")
     lens = next((each for each in lenses if each.get("class") == "adjusted"), lenses[-1] if lenses else None)
@@ -388,7 +388,7 @@ def read_transforms(path: Path, pictures: Pictures) -> Registration:
 
 
 def _poses(matrices: np.ndarray, file: str) -> tuple[np.ndarray, tuple[Problem, ...]]:
-    """(n, 3, 4) from world to camera, and a note where the file has another convention than it should.
+    """Return poses (n, 3, 4) from world to camera, and a note where the file deviates from its usual convention.
 
     Scripts write matrices of OpenCV's axes, or from world to camera, into the same key. The cameras then look away from
     the object, or their lines of sight miss each other; a reading that makes all of them meet is taken where it is the
@@ -413,7 +413,7 @@ def _poses(matrices: np.ndarray, file: str) -> tuple[np.ndarray, tuple[Problem, 
 
 
 def _nerf_lens(frame: dict, size: tuple[int, int], name: str) -> tuple[tuple[int, int], Intrinsics]:
-    """Rows and columns, and the lens in pixels from the centre of the first one."""
+    """Parse rows, columns and the lens in pixels from the centre of the first one."""
     try:
         model, fisheye = str(frame.get("camera_model", "OPENCV")).upper(), frame.get("is_fisheye", False)
         if model not in NERF_LENSES or fisheye or any(finite(frame.get(key, 0)) for key in OTHER_NAMES):
@@ -436,7 +436,7 @@ def _nerf_lens(frame: dict, size: tuple[int, int], name: str) -> tuple[tuple[int
 
 
 def _focal_length(frame: dict, axis: str, side: int) -> float | None:
-    """Pixels, from the focal length or the angle of view; None without. ValueError where the two disagree."""
+    """Compute the focal length in pixels, by its key or the angle of view; None without. ValueError if they differ."""
     length, angle = frame.get(f"fl_{axis}"), frame.get(f"camera_angle_{axis}")
     stated = None if length is None else positive(length, f"fl_{axis}")
     if angle is None:

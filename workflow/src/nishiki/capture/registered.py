@@ -49,13 +49,13 @@ class RegisteredView:
 
     @classmethod
     def of(cls, name: str, size: tuple[int, int], lens: Intrinsics, pose: np.ndarray) -> "RegisteredView":
-        """size: rows, columns; pose: (3, 4) from world to camera."""
+        """Make a view. size: rows, columns; pose: (3, 4) from world to camera."""
         return cls(name, *size, np.array(lens.as_dict()["matrix"]) @ pose, lens)
 
 
 @dataclass(frozen=True)
 class Registration:
-    """What a program's file of cameras holds: the photographs with a camera, and notes for the user."""
+    """Content of a program's file of cameras: the photographs with a camera, and notes for the user."""
 
     views: tuple[RegisteredView, ...]
     notes: tuple[Problem, ...] = ()
@@ -63,13 +63,13 @@ class Registration:
 
 @dataclass(frozen=True)
 class Pictures:
-    """The pictures in a folder and in the folders below it, found by the paths that other programs know them by."""
+    """Index of the pictures below a folder, by the paths that other programs give them."""
 
     folder: Path
 
     @cached_property
     def _listed(self) -> list[tuple[tuple[str, ...], Path]]:
-        """Parts of each picture's path, for comparison, and the path; hidden files left out."""
+        """Parts of each picture's path, for comparison, and the path, without hidden files."""
         names = (name for name, _ in walk(self.folder) if not any(p.startswith(".") for p in name.split("/")))
         pictures = (name for name in names if Path(name).suffix.lower() in IMAGE_SUFFIXES)
         return [(tuple(map(same_name, name.split("/"))), self.folder / name) for name in pictures]
@@ -98,7 +98,7 @@ class Pictures:
         return best[0] if best else None
 
     def paths(self, names: Sequence[str], file: str) -> list[Path]:
-        """Find the picture of each name. CaptureError (photograph-missing) with every one that is not there."""
+        """Find the picture of each name. CaptureError (photograph-missing) with every missing one."""
         found = {name: self.find(name) for name in names}
         raise_errors(
             error("photograph-missing", file, f"no photograph '{name}' in {self.folder.name}")
@@ -108,14 +108,14 @@ class Pictures:
         return [require(found[name]) for name in names]
 
     def size(self, name: str, file: str) -> tuple[int, int]:
-        """Rows and columns of a photograph. CaptureError as `paths`, and those of reading a header."""
+        """Read rows and columns of a photograph. CaptureError as `paths`, and those of reading a header."""
         header = read_header(self.paths([name], file)[0])
         return header.rows, header.columns
 
 
 @contextmanager
 def reading_cameras(name: str, program: str, remedy: str) -> Iterator[None]:
-    """Tell what is wrong with a file of a program's cameras as cameras-missing and cameras-unreadable."""
+    """Convert errors of reading a program's cameras to cameras-missing and cameras-unreadable."""
     try:
         with reading(name, "cameras"):
             yield
@@ -141,7 +141,7 @@ def aims_at(poses: np.ndarray) -> float | None:
 
 
 def aim_problems(poses: np.ndarray, file: str) -> list[Problem]:
-    """cameras-outward where the cameras do not look at one place between them, as around an object they do."""
+    """List cameras-outward where the cameras do not face one common place, as they do around an object."""
     aim = aims_at(poses)
     if aim is None or aim < NEAR:
         return []
@@ -201,7 +201,7 @@ HEADING = re.compile(rb"Number of images:\s*([0-9]{1,9})")
 
 
 SizedLens = tuple[tuple[int, int], Intrinsics]
-"""Rows and columns, and the lens."""
+"""Rows, columns and lens."""
 Image = tuple[str, int, tuple[float, ...]]
 """Name, number of the camera, and the pose: w, x, y, z of the rotation from world to camera, then the translation."""
 
@@ -245,7 +245,7 @@ def _view(image: Image, cameras: dict[int, SizedLens], file: str) -> RegisteredV
 
 
 def _camera(model: str, parameters: Sequence[float], rows: int, columns: int) -> SizedLens:
-    """CaptureError (cameras-distorted) where the camera has another distortion than Brown's."""
+    """Convert a COLMAP camera. CaptureError (cameras-distorted) where its distortion is not Brown's."""
     plain = next((before for name, _, before in MODELS if name == model), 0)
     distortion = [float(value) for value in parameters[plain:]]
     if not plain or any(distortion[len(LENS_COLUMNS) :]):
@@ -272,7 +272,7 @@ def _text_cameras(content: bytes) -> dict[int, SizedLens]:
 
 
 def _text_images(content: bytes, notes: list[Problem]) -> list[Image]:
-    """Lines `number quaternion translation camera name`, each followed by a line of triples for its points.
+    """Parse lines `number quaternion translation camera name`, each followed by a line of triples for its points.
 
     Files that people and scripts write for known poses lack the lines of points, all or some: a line of points is
     known by its numbers, so that no photograph is taken for one.

@@ -1,4 +1,4 @@
-"""Relightable images (`.ptm`, `.rti`, folders of relight) as captures, of pictures that are rendered from them.
+"""Convert relightable images (`.ptm`, `.rti`, folders of relight) to captures of pictures rendered from them.
 
 Unless the user names them, the lamps are ours: RINGS around the normal, within what domes cover and where a fit
 interpolates. Of several that were tried on photographs these give the best normals (docs/notes/imports.md).
@@ -45,7 +45,7 @@ class Rendering:
 
     @property
     def name(self) -> str:
-        """What is converted."""
+        """Name of the converted image."""
         return f"rendered from {self.file.name}"
 
     @property
@@ -83,7 +83,7 @@ def _is_folder_image(folder: Path) -> bool:
 
 
 def read_relightable(source: Path, file: Path, options: ConvertOptions) -> Rendering:
-    """Choose the lamps under which the image is rendered. CaptureError where it is none that is read."""
+    """Choose the lamps for rendering the image. CaptureError where its format is not supported."""
     options.refuse(NO_PHOTOGRAPHS, "white", "dark", "ambient", "checks", "lights_order", "lights_axes")
     raise_errors(file_problems(mask=options.mask))
     return Rendering(file, open_relightable(file), lamps_for(options.lights_file, options))
@@ -117,7 +117,7 @@ def lamps_for(lights_file: Path | None, options: ConvertOptions | None = None) -
 
 
 def write_rendered(folder: Path, layout: Rendering, source: Path, options: ConvertOptions) -> list[Problem]:
-    """Render into a new folder, and take the file itself along; returns what the user should know."""
+    """Render into a new folder, and include the file itself; return notes for the user."""
     file, lights = layout.file, layout.lights
     image = layout.image
     folder.mkdir(parents=True)
@@ -163,7 +163,7 @@ def write_rendered(folder: Path, layout: Rendering, source: Path, options: Conve
 
 
 def _render(image: RelightableImage, light: np.ndarray, path: Path) -> float:
-    """Write one picture as PNG of 16 bits; returns the share of its values that were clipped."""
+    """Write one picture as PNG of 16 bits; return the share of clipped values."""
     import cv2
 
     path.parent.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""Projects of other programs for relightable images: Relight and RelightLab, and RTIBuilder.
+"""Read RTI projects of other programs: Relight and RelightLab, and RTIBuilder.
 
 Relight: projects (`.relight`), `.dome` and `info.json`. A project lists its photographs, each with its file name; one
 with `skip` is not used, nor one with `visible` false. They lie in its `folder`. Directions stand with the photographs
@@ -38,7 +38,7 @@ SUFFIXES = (".relight", ".json", ".dome")
 
 
 def is_relight(path: Path) -> bool:
-    """Whether a lights file is one of Relight's, by its suffix, or by its name where that is all there is."""
+    """Check whether a lights file is one of Relight's, by its suffix, or by its name alone."""
     return (path.suffix or path.name).lower() in SUFFIXES
 
 
@@ -84,7 +84,7 @@ def read_relight(path: Path, kind: str | None = None, width_mm: float | None = N
 
 
 def _of_project(content: dict, images: list, path: Path, kind: str | None, width_mm: float | None) -> StatedLights:
-    """Photographs that are neither skipped nor hidden, and that have a lamp."""
+    """Read photographs that are neither skipped nor hidden and have a lamp, with these lamps."""
     expect_rows(len(images), "lights", path.name, "lights")
     names: list[str] = []
     for image in images:
@@ -135,7 +135,7 @@ class _DomeLamps(NamedTuple):
     directions: np.ndarray | None = None  # where vectors are positions that the photographs have to bear out, else None
 
     def state(self, files: list[str | None], used: list[int], strengths: np.ndarray | None, file: str) -> StatedLights:
-        """State the lamps that are used, of these photographs."""
+        """Return the used lamps of these photographs as stated lights."""
         far = None if self.directions is None else self.directions[used]
         kind = self.kind if far is None else "position_mm"
         lights = lights_from_vectors(files, self.vectors[used], file=file, kind=kind)
@@ -145,7 +145,7 @@ class _DomeLamps(NamedTuple):
 
 
 def _of_dome(dome: dict, path: Path, kind: str | None, width_mm: float | None) -> _DomeLamps:
-    """Positions where the file is configured so, or the user says so, and the width is known, else directions.
+    """Read positions where the file or the user sets them and the width is known, else directions.
 
     A dome that states positions or a diameter, but no width, or that near lamps are not wanted, leaves it open.
     """
@@ -174,7 +174,7 @@ def _of_dome(dome: dict, path: Path, kind: str | None, width_mm: float | None) -
 
 
 def _strengths(dome: dict, count: int, file: str) -> np.ndarray | None:
-    """Relative strengths (lamps, 3), which the factors of `ledAdjust` even out; None without."""
+    """Compute relative strengths (lamps, 3), the inverse of the factors in `ledAdjust`; None without."""
     factors = dome.get("ledAdjust")
     if not isinstance(factors, list) or not factors:
         return None
@@ -186,7 +186,7 @@ def _strengths(dome: dict, count: int, file: str) -> np.ndarray | None:
 
 
 def _crop(content: dict, file: str) -> tuple[tuple[int, int, int, int] | None, list[Problem]]:
-    """Row, column, rows, columns of the upright rectangle that a project crops to; None for the whole picture."""
+    """Compute row, column, rows, columns of the upright rectangle around a project's crop; None for no crop."""
     crop = content.get("crop")
     size = np.array([_positive(content, "width"), _positive(content, "height")])
     if not isinstance(crop, dict) or not size.all() or not _positive(crop, "width") or not _positive(crop, "height"):
@@ -209,7 +209,7 @@ def _crop(content: dict, file: str) -> tuple[tuple[int, int, int, int] | None, l
 
 
 def _shifts(content: dict, used: list[int], file: str) -> tuple[np.ndarray | None, list[Problem]]:
-    """Return the shifts (used, 2) of photographs that a project states, None for none, and what to tell of them."""
+    """Return the shifts (used, 2) of photographs that a project states, None for none, and notes about them."""
     shifts = []
     aligns = content.get("aligns")
     for align in aligns if isinstance(aligns, list) else []:
@@ -232,7 +232,7 @@ def _read(path: Path) -> dict:
 
 
 def _vectors(listed: object, file: str) -> np.ndarray:
-    """(n, 3) of a list of objects with x, y and z; (0, 3) where there is no list."""
+    """Parse a list of objects with x, y and z as (n, 3); (0, 3) where there is no list."""
     if not isinstance(listed, list):
         return np.zeros((0, 3))
     expect_rows(len(listed), "lights", file, "lights")
@@ -259,7 +259,7 @@ def _unreadable(file: str, expected: str, found: str) -> CaptureError:
 
 ASSEMBLY, FINISHED = "assembly-files", "finished-files"
 PHOTOGRAPHS = ("jpeg-exports", "cropped-files", "edited-captures", "original-captures")
-"""Folders that may hold the photographs, in the order in which they are looked through."""
+"""Folders that may hold the photographs, in search order."""
 
 
 def find_rti_project(source: Path, options: ConvertOptions) -> dict[str, Path] | None:
@@ -310,5 +310,5 @@ def _recovery(folders: dict[str, Path], remedy: str) -> str:
 
 
 def _stems_in(folder: Path) -> set[str]:
-    """Names of the pictures in a folder, without suffix."""
+    """List names of the pictures in a folder, without suffix."""
     return {same_name(path.stem) for path in files_with(folder, IMAGE_SUFFIXES)}

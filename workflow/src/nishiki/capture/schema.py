@@ -1,4 +1,4 @@
-"""What capture.yaml of every geometry shares, and how such a file is read: closed models, and errors in plain words."""
+"""Define and read the part of capture.yaml that every geometry shares: closed models, and errors in plain words."""
 
 import re
 from datetime import date as Date
@@ -22,11 +22,11 @@ OBJECT_FACTS = {
     "object_holder": "Kept by",
     "object_place": "Kept in",
 }
-"""Keys of capture.yaml on the object itself, beside `title` and `object_id`; their words on pages and in records."""
+"""Keys of capture.yaml about the object itself, beside `title` and `object_id`, with their labels on pages."""
 ABOUT = ("title", "creator", "date", "object_id", *OBJECT_FACTS, "rights", "notes")
-"""Keys of capture.yaml that records of a digitisation take over."""
+"""Keys of capture.yaml that are copied to records of a digitisation."""
 TEXTS = frozenset(ABOUT) - {"date"}
-"""Keys whose values are the text that stands in the file, though YAML would read 0755, 17.5 or yes as other things."""
+"""Keys whose values are read as literal text, where YAML would convert 0755, 17.5 or yes."""
 NULL, TEXT = "tag:yaml.org,2002:null", "tag:yaml.org,2002:str"
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -34,7 +34,7 @@ Count = Annotated[int, Field(strict=True, ge=0)]
 
 
 class CameraResponse(Closed):
-    """How a stored code becomes light."""
+    """Conversion of stored codes to light."""
 
     channels: tuple[str, ...] = Field(RGB, min_length=1, max_length=64)
     encoding: Literal["file", "linear", "srgb"] = "file"
@@ -53,7 +53,7 @@ class CameraResponse(Closed):
 
 
 class White(Closed):
-    """The white board."""
+    """White board."""
 
     reflectance: Annotated[float, Field(gt=0, le=1.1)] = 1.0
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -68,7 +68,7 @@ class White(Closed):
 
 
 class Session(Closed):
-    """What capture.yaml says whatever the geometry: what was photographed, by whom, with which camera."""
+    """Keys of capture.yaml for every geometry: object, creator and camera."""
 
     format: Literal[1]
     camera: CameraResponse = CameraResponse()
@@ -98,7 +98,7 @@ class Session(Closed):
 
 
 class UniqueKeyLoader(SafeLoader):
-    """Safe YAML in which a key that appears twice is an error instead of the last one winning silently; and TEXTS."""
+    """Safe YAML loader that rejects repeated keys and keeps TEXTS as literal text."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         seen = set()
@@ -115,7 +115,7 @@ class UniqueKeyLoader(SafeLoader):
 
 
 class UnquotedStatesLoader(UniqueKeyLoader):
-    """Reads off, on, no and yes as the words that they are: polariser states need no quotes."""
+    """Loader that keeps off, on, no and yes as words: polariser states need no quotes."""
 
     yaml_implicit_resolvers: ClassVar[dict] = {
         first: [(tag, words) for tag, words in resolvers if tag != "tag:yaml.org,2002:bool"]
@@ -129,7 +129,7 @@ UnquotedStatesLoader.add_implicit_resolver(
 
 
 def read_mapping(path: Path, loader: type[UniqueKeyLoader] = UniqueKeyLoader) -> dict:
-    """Keys and values of a plain YAML file. CaptureError: yaml-missing, yaml-invalid."""
+    """Read keys and values of a plain YAML file. CaptureError: yaml-missing, yaml-invalid."""
     try:
         parsed = load_plain(read_text(path, "settings_bytes"), loader)
     except FileNotFoundError as e:

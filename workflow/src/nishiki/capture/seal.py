@@ -1,4 +1,4 @@
-"""Sealing a capture: a BagIt bag (RFC 8493) whose manifest says what every file was when it was sealed."""
+"""Seal a capture as a BagIt bag (RFC 8493), whose manifest records the digest of every file."""
 
 import hashlib
 import os
@@ -24,7 +24,7 @@ def sha256_of(path: Path) -> str:
 
 
 def payload_files(folder: Path) -> Iterator[Path]:
-    """Regular files below a folder, in the order of their relative names; links to folders are not followed.
+    """Yield regular files below a folder, sorted by their relative names; links to folders are not followed.
 
     CaptureError (seal-link, file-special, name-unusable) for links that lead out of the folder or nowhere, for pipes
     and devices, which could be read for ever, and for names that are not UTF-8.
@@ -42,7 +42,7 @@ def payload_files(folder: Path) -> Iterator[Path]:
 
 
 def _strange(name: str, entry: os.DirEntry, folder: Path) -> Problem | None:
-    """Why an entry of a capture folder is no file that may be read and listed; None where it is one."""
+    """Return the fault of a folder entry that cannot be read and listed as a file; None for a regular one."""
     if not is_plain(name.replace("\n", "").replace("\r", "")):
         remedy = "Rename the file; a manifest holds names in UTF-8, without control characters"
         return error("name-unusable", name, "file name with control characters, or not UTF-8", remedy=remedy)
@@ -55,7 +55,7 @@ def _strange(name: str, entry: os.DirEntry, folder: Path) -> Problem | None:
 
 
 def payload_digests(folder: Path, *, progress: Callable[[str], None] | None = None) -> dict[str, str]:
-    """Digest of every file by its name in a bag ('data/...'); progress: called with each name."""
+    """Digest every file by its name in a bag ('data/...'); progress: called with each name."""
     digests = {}
     for path in payload_files(folder):
         name = f"data/{path.relative_to(folder).as_posix()}"
@@ -66,13 +66,13 @@ def payload_digests(folder: Path, *, progress: Callable[[str], None] | None = No
 
 
 def manifest_text(digests: dict[str, str]) -> str:
-    """Manifest lines 'digest  name' sorted by name; line ends and '%' in names percent-encoded (RFC 8493, 2.1.3)."""
+    """Write manifest lines 'digest  name' by name; line ends and '%' in names percent-encoded (RFC 8493, 2.1.3)."""
     lines = (f"{digests[name]}  {name}".replace("%", "%25").replace("\r", "%0D") for name in sorted(digests))
     return "".join(line.replace("\n", "%0A") + "\n" for line in lines)
 
 
 def read_manifest(path: Path) -> dict[str, str]:
-    """Digest by name from a manifest. CaptureError (seal-manifest) where a line is none, or it cannot be read."""
+    """Read digests by name from a manifest. CaptureError (seal-manifest) for invalid lines and unreadable files."""
     entries, problems = {}, []
     for number, line in enumerate(_manifest_lines(path), start=1):
         entry = manifest_entry(line)
@@ -87,7 +87,7 @@ def read_manifest(path: Path) -> dict[str, str]:
 
 
 def manifest_entry(line: str) -> tuple[str, str] | None:
-    """Name and digest that a line of a manifest states; None where it states none, or the name leads outside."""
+    """Parse name and digest of a manifest line; None where it has none, or the name leads outside."""
     match = re.fullmatch(r"([0-9a-fA-F]{64})[ \t]+\*?([^\s*].*)", line)
     if match is None or match[2].startswith("/") or ".." in match[2].split("/"):
         return None
@@ -95,7 +95,7 @@ def manifest_entry(line: str) -> tuple[str, str] | None:
 
 
 def _manifest_lines(path: Path) -> list[str]:
-    """Lines of a manifest; only line feeds end them, as names may hold any other character."""
+    """Read lines of a manifest; only line feeds end them, as names may hold any other character."""
     try:
         if leads_out(path, path.parent):
             what, remedy = "link out of the folder", "Copy the file itself into the folder"
@@ -109,9 +109,9 @@ def _manifest_lines(path: Path) -> list[str]:
 
 
 def capture_digest(root: Path) -> str:
-    """SHA-256 over the sorted payload manifest: the identity of a capture, the same before and after sealing.
+    """Compute the SHA-256 over the sorted payload manifest: a capture's identity, the same before and after sealing.
 
-    Of a sealed capture the manifest is read (`check` proves that the files are still those); otherwise every file is.
+    Read the manifest of a sealed capture (`check` verifies the files), otherwise every file.
     """
     if (root / "bagit.txt").is_file():
         text = manifest_text(read_manifest(root / MANIFEST))
@@ -157,7 +157,7 @@ def seal(root: Path, *, progress: Callable[[str], None] | None = None) -> str:
 
 
 def _clear_half(half: Path) -> None:
-    """Remove what a sealing killed before its first rename left: tag files only. Anything else is left alone."""
+    """Remove tag files of a sealing that was killed before its first rename. Anything else is left alone."""
     if not half.exists():
         return
     tag_files = {f".{name}.part" for name in (*TAGS, TAG_MANIFEST)} | {*TAGS, TAG_MANIFEST}
@@ -171,14 +171,14 @@ def _clear_half(half: Path) -> None:
 
 
 def sealed_digests(root: Path) -> dict[str, str]:
-    """Digest of each file of a sealed capture by its name relative to data/; empty for an unsealed one."""
+    """Read digests of a sealed capture's files by name relative to data/; empty for an unsealed one."""
     if not (root / "bagit.txt").is_file():
         return {}
     return {name.removeprefix("data/"): digest for name, digest in read_manifest(root / MANIFEST).items()}
 
 
 def expect_sealed(path: Path, name: str, digests: dict[str, str]) -> None:
-    """CaptureError (seal-changed, seal-foreign) unless the file is as it was sealed; no digests: nothing to prove."""
+    """Raise CaptureError (seal-changed, seal-foreign) if the file differs from its digest; no digests: no check."""
     if not digests:
         return
     if name not in digests:
@@ -190,7 +190,7 @@ def expect_sealed(path: Path, name: str, digests: dict[str, str]) -> None:
 
 
 def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
-    """Every file of a sealed capture that is missing, changed or foreign (seal-missing, seal-changed, seal-foreign).
+    """List missing, changed and foreign files of a sealed capture (seal-missing, seal-changed, seal-foreign).
 
     digests: read every file; otherwise only the names are compared.
     """
@@ -225,7 +225,7 @@ def verify_seal(root: Path, *, digests: bool = True) -> list[Problem]:
 
 
 def _write_tags(bag: Path, payload: Path, progress: Callable[[str], None] | None) -> None:
-    """bag-info, manifests, and last bagit.txt, whose presence makes it a bag."""
+    """Write bag-info, manifests, and last bagit.txt, whose presence makes the folder a bag."""
     digests = payload_digests(payload, progress=progress)
     size = sum((payload / name.removeprefix("data/")).stat().st_size for name in digests)
     info = f"Bagging-Date: {Date.today().isoformat()}\nPayload-Oxum: {size}.{len(digests)}\n"

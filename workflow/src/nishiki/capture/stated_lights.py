@@ -1,4 +1,4 @@
-"""What a lights file states, of any program and dialect: directions, positions or angles, decided by evidence.
+"""Interpret a lights file of any program and dialect: directions, positions or angles, decided by evidence.
 
 A file that can be read in two ways is decided by the photographs (below), or refused with the options
 that say which it is.
@@ -64,7 +64,7 @@ def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> Pho
 
 @none_where_undetermined
 def misfit_of(samples: PhotoSamples, directions: np.ndarray) -> float | None:
-    """Median misfit relative to the albedo under lamps in these directions (lights, 3)."""
+    """Compute the median misfit relative to the albedo under lamps in these directions (lights, 3)."""
     places, patches = spread_pixels(samples.values)
     values = samples.values.reshape(len(samples.values), -1)[:, places]
     fit = fit_lambert(values, directions[samples.chosen], patches)
@@ -73,7 +73,7 @@ def misfit_of(samples: PhotoSamples, directions: np.ndarray) -> float | None:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether photographs show near lamps at some positions, or far ones in those directions; both may stay open."""
+    """Evidence for near lamps at some positions, or far ones in those directions; both may stay open."""
 
     near: bool  # near, far: one explains the photographs clearly better, and the other would have shown
     far: bool
@@ -108,7 +108,7 @@ def judge(samples: PhotoSamples, vectors: np.ndarray, columns: int, width_mm: fl
 def choose_strengths(
     samples: PhotoSamples, vectors: np.ndarray, candidates: dict[str, np.ndarray], *, near: bool
 ) -> tuple[str, dict[str, float]]:
-    """Choose the strengths (lights,) of the lamps that the photographs show, by name, and tell what each leaves.
+    """Choose the strengths (lights,) of the lamps that fit the photographs, by name, and report each residual.
 
     near: vectors (lights, 3) are positions, at which a lamp of strength 1 lights the middle by the inverse square of
     its distance. A course of strengths that is linear over the directions is like a tilt of the object, and left out.
@@ -126,7 +126,7 @@ def choose_strengths(
 
 @none_where_undetermined
 def measure_gains(samples: PhotoSamples, vectors: np.ndarray, *, near: bool) -> np.ndarray | None:
-    """Strengths (photographs,) of the lamps, see `choose_strengths`."""
+    """Measure the strengths (photographs,) of the lamps, see `choose_strengths`."""
     lamps = vectors[samples.chosen]
     if near:
         found: NearLamps | None = measure_width(samples.values, lamps)
@@ -144,7 +144,7 @@ Sampler = Callable[[], PhotoSamples | None]
 
 @dataclass(frozen=True)
 class StatedLights:
-    """Lamps of a file and what else it states."""
+    """Lamps of a file and its further statements."""
 
     lights: Lights  # names and vectors
     kind: str = "direction"  # `direction` or `position_mm`
@@ -165,7 +165,7 @@ class StatedLights:
 
 
 def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> StatedLights:
-    """Read a `.lp`, a `.csv` or a list, as far as the file alone tells what it is.
+    """Read a `.lp`, a `.csv` or a list, as far as the file alone determines it.
 
     kind : one of LIGHT_KINDS, or None; present : names of the photographs, by which an old code page is recognised.
     CaptureError: those of `read_numbers` and `lights_from_vectors`, and lights-angles.
@@ -205,7 +205,7 @@ def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> 
 
 
 def _read_names(file: Path, present: Collection[str]) -> tuple[list[str | None], np.ndarray]:
-    """Names and numbers; of a text in an old code page in the one in which its names are those of photographs."""
+    """Read names and numbers, with the old code page in which the names match the photographs."""
     if is_unicode(file):
         return read_numbers(file)
     known = {same_name(name) for name in present} | {same_name(light_name(name)) for name in present}
@@ -224,7 +224,7 @@ def _read_names(file: Path, present: Collection[str]) -> tuple[list[str | None],
 
 
 def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, width_mm: float | None) -> StatedLights:
-    """Decide by the photographs whether open numbers are directions or positions, and in which unit.
+    """Decide from the photographs whether open numbers are directions or positions, and in which unit.
 
     samples : gives samples of the photographs in the order of the lights; columns : of the photographs; width_mm : that
     the user states. CaptureError: lights-ambiguous where they do not tell, lights-contradicted where angles are of the
@@ -266,7 +266,7 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
 
 
 def _as_positions(stated: StatedLights, file: str, verdict: Verdict, *, told: bool) -> StatedLights:
-    """Positions in millimetres, with a word where the photographs decided on them or on their unit."""
+    """Convert to positions in millimetres; warn where the photographs decided on them or on their unit."""
     lights = replace(stated.lights, vectors=stated.lights.vectors * verdict.factor)
     if stated.open_kind or verdict.factor != 1:
         what = (
@@ -279,7 +279,7 @@ def _as_positions(stated: StatedLights, file: str, verdict: Verdict, *, told: bo
 
 
 def decide_strengths(stated: StatedLights, file: str, samples: Sampler) -> StatedLights:
-    """Decide by the photographs whether further numbers of each line are strengths of the lamps or factors for them."""
+    """Decide from the photographs whether further numbers of each line are strengths of the lamps or their factors."""
     if stated.intensities is None or not stated.open_strengths:
         return stated
     taken = samples()
@@ -301,7 +301,7 @@ def decide_strengths(stated: StatedLights, file: str, samples: Sampler) -> State
 
 
 def scale_to_middle(stated: StatedLights, file: str, samples: Sampler) -> StatedLights:
-    """Turn strengths of near lamps at different distances into those of their light on the middle of the object.
+    """Convert strengths of near lamps at different distances to those of their light on the middle of the object.
 
     Lamps are taken to be equal where no strengths are stated, unless the photographs clearly show that each lights the
     middle alike.
@@ -328,7 +328,7 @@ def _are_unit(vectors: np.ndarray) -> bool:
 
 
 def _are_angles(numbers: np.ndarray) -> bool:
-    """Whether rows are two angles, or two angles and one radius for all."""
+    """Check whether rows are two angles, or two angles and one radius for all."""
     if len(numbers) < 3 or not np.isfinite(numbers).all() or _are_unit(numbers):
         return False
     if numbers.shape[1] == 3 and np.ptp(numbers[:, 2]) > 1e-6 * np.abs(numbers[:, 2]).max():
@@ -342,7 +342,7 @@ def _full_turn(numbers: np.ndarray) -> float:
 
 
 def _azimuth_at(numbers: np.ndarray, column: int) -> bool:
-    """Whether a column goes round more than a third of the full turn, and the other stays between plane and normal."""
+    """Check that a column covers more than a third of the full turn, and the other stays between plane and normal."""
     other, full = numbers[:, 1 - column], _full_turn(numbers)
     within = np.abs(numbers[:, column]).max() <= 1.01 * full and other.min() >= 0 and other.max() <= full / 4 * 1.001
     return bool(within and np.ptp(numbers[:, column]) > full / 3)
@@ -362,7 +362,7 @@ def _angles_refused(file: Path, numbers: np.ndarray) -> Problem:
 
 
 def _from_angles(numbers: np.ndarray, kind: str) -> np.ndarray:
-    """Directions (lights, 3) of two angles in the order that the kind names."""
+    """Compute directions (lights, 3) from two angles in the order that the kind names."""
     angles = numbers[:, :2] * (2 * np.pi / _full_turn(numbers))
     azimuth, height = angles.T if kind.startswith("azimuth") else angles.T[::-1]
     polar = height if "polar" in kind else np.pi / 2 - height

@@ -1,4 +1,4 @@
-"""Tables of a capture beside frames.csv: projection matrices, points found in pictures, spectra."""
+"""Read tables of a capture beside frames.csv: projection matrices, image points, spectra."""
 
 import math
 from collections.abc import Sequence
@@ -25,14 +25,14 @@ FEWEST_POINTS = 4  # of a view
 
 @dataclass(frozen=True)
 class CameraTable:
-    """By view: projection matrices (3, 4) float64, and Brown's distortions k1, k2, p1, p2, k3, empty without."""
+    """Cameras by view: projection matrices (3, 4) float64; Brown's distortions k1, k2, p1, p2, k3, empty without."""
 
     matrices: dict[str, np.ndarray]
     distortions: dict[str, tuple[float, ...]]
 
 
 def read_cameras(path: Path, name: str) -> CameraTable:
-    """Columns view, p11 ... p34 (row by row), and k1, k2, p1, p2, k3 where the lenses are distorted.
+    """Read columns view, p11 ... p34 (row by row), and k1, k2, p1, p2, k3 where the lenses are distorted.
 
     Raises CaptureError with every mistake: cameras-missing, cameras-unreadable, cameras-many, cameras-columns,
     camera-values, camera-not-finite, camera-singular, camera-duplicate, name-unusable.
@@ -77,7 +77,7 @@ def _read_rows(path: Path, name: str, kind: str, *headings: Sequence[str]) -> tu
 def arrange_cameras(
     table: CameraTable, views: tuple[str, ...], *, reverse: bool, camera_of: dict[str, str]
 ) -> CameraTable:
-    """Cameras by view as capture.yaml arranges them: another row for some views, the turn reversed.
+    """Arrange cameras by view as in capture.yaml: another row for some views, the turn reversed.
 
     Raises CaptureError: view-unknown for names that are no view or no row; turn-unknown where the cameras
     to reverse lie on no circle.
@@ -98,7 +98,7 @@ def arrange_cameras(
 
 
 def camera_problems(view: str, matrix: np.ndarray, where: str) -> list[Problem]:
-    """Whether a 3x4 matrix is a camera at a finite place: finite, with a regular left part."""
+    """Check that a 3x4 matrix is a camera at a finite place: finite, with a regular left part."""
     if not np.isfinite(matrix).all():
         what = f"camera of view '{view}': {int((~np.isfinite(matrix)).sum())} of 12 values are not finite"
         return [error("camera-not-finite", where, what)]
@@ -111,7 +111,7 @@ def camera_problems(view: str, matrix: np.ndarray, where: str) -> list[Problem]:
 
 
 def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.ndarray]:
-    """Image points with their places on the object, by view: (points, 5) float64 column, row, x, y, z.
+    """Read image points with their places on the object, by view: (points, 5) float64 column, row, x, y, z.
 
     Raises CaptureError: points-missing, points-unreadable, points-columns, points-values, points-view, points-few.
     """
@@ -135,7 +135,7 @@ def read_points(path: Path, name: str, views: tuple[str, ...]) -> dict[str, np.n
 
 
 def camera_centre(matrix: np.ndarray) -> np.ndarray:
-    """(3,) place of the camera of a 3x4 matrix: the point that it maps to zero."""
+    """Compute the centre (3,) of a camera from its 3x4 matrix: the point that it maps to zero."""
     return -np.linalg.solve(matrix[:, :3], matrix[:, 3])
 
 
@@ -222,7 +222,7 @@ class Intrinsics(Closed):
     distortion: tuple[Finite, Finite, Finite, Finite, Finite] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
     def as_dict(self) -> dict:
-        """matrix (3 rows of 3) and distortion as plain lists."""
+        """Return matrix (3 rows of 3) and distortion as plain lists."""
         matrix = [[self.fx, self.skew, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]]
         return {"matrix": matrix, "distortion": list(self.distortion)}
 

@@ -1,4 +1,4 @@
-"""Photographs taken over into a capture folder: their names, their channels, copies or hard links."""
+"""Copy or link photographs into a capture folder, with their names and channels."""
 
 import csv
 import io
@@ -57,7 +57,7 @@ def usual_header(photographs: Sequence[Path]) -> ImageHeader:
 def choose_encoding(
     header: ImageHeader, given: str | None, source: str, *, display: bool = False
 ) -> tuple[str, list[Problem]]:
-    """Choose camera.encoding for photographs like this one, and list what the user should know of it.
+    """Choose camera.encoding for photographs like this one, and list notes for the user.
 
     given: by the user, or None; display: 8-bit pictures that state nothing are coded for display, not linear. A curve
     that the file states is used; a linear one needs no statement.
@@ -85,14 +85,14 @@ def choose_encoding(
 
 
 def file_names(photographs: tuple[Path, ...]) -> list[str]:
-    """Names in the capture: those of the files, numbered where two from different folders are the same."""
+    """Name files in the capture: as they are, numbered where two from different folders have the same name."""
     names = [p.name for p in photographs]
     same = len(set(names)) != len(names)
     return [f"{i + 1:03d}_{name}" for i, name in enumerate(names)] if same else names
 
 
 def take(origin: Path, place: Path, link: bool) -> str:
-    """Copy or hard-link one file; returns its name relative to the capture."""
+    """Copy or hard-link one file; return its name relative to the capture."""
     place.parent.mkdir(parents=True, exist_ok=True)
     if link:
         os.link(origin.resolve(), place)
@@ -102,7 +102,7 @@ def take(origin: Path, place: Path, link: bool) -> str:
 
 
 def take_mask(origin: Path, place: Path, link: bool) -> tuple[str, list[Problem]]:
-    """Copy or hard-link a mask or silhouette; returns its name in the capture, and warnings about how it is read."""
+    """Copy or hard-link a mask or silhouette; return its name in the capture, and warnings about how it is read."""
     return take(origin, place, link), list(examine_mask(origin).problems)
 
 
@@ -131,7 +131,7 @@ def state_exposures(folder: Path, rows: list[dict[str, str]]) -> list[Problem]:
 
 
 def compare_exposures(recorded: Sequence[Exif]) -> tuple[dict[str, str], list[int]]:
-    """Say of each column of exposures that differs by more than SAME_EXPOSURE how much, and which state nothing."""
+    """Report each column of exposures that differs by more than SAME_EXPOSURE, and missing values."""
     said: dict[str, str] = {}
     unknown: set[int] = set()
     for column in EXPOSURE_COLUMNS:
@@ -144,20 +144,20 @@ def compare_exposures(recorded: Sequence[Exif]) -> tuple[dict[str, str], list[in
 
 
 def settings_text(settings: dict[str, Any]) -> str:
-    """Content of capture.yaml."""
+    """Write the content of capture.yaml."""
     text = yaml.safe_dump(settings, sort_keys=False, allow_unicode=True)
     return f"# Capture folder: see docs/capture-folder.md\n{text}"
 
 
 def table_text(rows: Iterable[Iterable[Any]]) -> str:
-    """Content of a table of comma-separated values, its heading the first row."""
+    """Write a table of comma-separated values, its heading the first row."""
     buffer = io.StringIO()
     csv.writer(buffer, lineterminator="\n").writerows(rows)
     return buffer.getvalue()
 
 
 def lights_text(names: Sequence[str], vectors: np.ndarray) -> str:
-    """Content of a `.lp` file: the number of lamps, then name and vector of each."""
+    """Write a `.lp` file: the number of lamps, then name and vector of each."""
     lines = [f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in zip(names, vectors, strict=True)]
     return f"{len(lines)}\n{''.join(lines)}"
 
@@ -173,11 +173,11 @@ def read_channels(path: Path) -> np.ndarray:
 
 
 def read_grey(path: Path) -> np.ndarray:
-    """Codes (rows, columns) float32: luma of colour, else the mean of the channels."""
+    """Read codes (rows, columns) float32: luma of colour, else the mean of the channels."""
     codes = read_channels(path)
     return codes @ np.float32(LUMA_WEIGHTS) if codes.shape[2] == 3 else codes.mean(axis=2)
 
 
 def full_scale_of(path: Path) -> float:
-    """Largest code that a photograph's samples can hold; 1 for float."""
+    """Return the largest code that a photograph's samples can hold; 1 for float."""
     return {"uint8": 255.0, "uint16": 65535.0, "float32": 1.0}[read_header(path).sample]

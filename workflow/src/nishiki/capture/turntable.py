@@ -1,4 +1,4 @@
-"""A turntable: its description, whether its tables belong together, and the capture as one frozen value.
+"""Describe, check and read a turntable capture, as one frozen value.
 
 One view under several polariser states is a turntable that does not turn.
 """
@@ -74,7 +74,7 @@ class Board(Closed):
 
 
 class TurntableLights(Closed):
-    """Where the lamps were: beside the camera, or given in the camera's frame, in which they stand still."""
+    """Lamp positions: beside the camera, or given in the camera's frame, in which they stand still."""
 
     kind: Literal["camera", "direction", "position_mm"] = "direction"
     file: str | None = None
@@ -121,13 +121,13 @@ class Turntable(Closed):
 
     @property
     def mesh_placement(self) -> tuple[float, tuple[int, int, int], tuple[int, int, int]]:
-        """What brings the mesh into the world of the cameras: scale, the axis that each new one is, and its sign."""
+        """Placement of the mesh in the world of the cameras: scale, source axis of each new axis, and its sign."""
         x, y, z = (("xyz".index(name[-1]), 1 - 2 * (name[0] == "-")) for name in self.mesh_axes.split(","))
         return self.mesh_scale, (x[0], y[0], z[0]), (x[1], y[1], z[1])
 
     @property
     def files(self) -> tuple[tuple[str, str], ...]:
-        """Every file that the block names: (key, file)."""
+        """Every file in the block: (key, file)."""
         single = ("cameras", "mesh", "correspondences", "intrinsics", "calibration")
         named = [(f"turntable.{key}", getattr(self, key)) for key in single if getattr(self, key)]
         return (*named, *(("turntable.scans", scan) for scan in self.scans))
@@ -300,7 +300,7 @@ def estimates_cameras(block: Turntable, views: tuple[str, ...]) -> bool:
 
 
 def _board_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings: TurntableFile) -> list[Problem]:
-    """List how boards and their description disagree, and views without a camera, which boards must then give."""
+    """List contradictions of boards and their description, and views without a camera, which then need boards."""
     boards, block, problems = [f for f in frames if f.role == "board"], settings.turntable, []
     if boards and block.board is None:
         what = f"{len(boards)} frames show a calibration board that turntable.board does not describe"
@@ -334,7 +334,7 @@ def _board_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings:
 
 @dataclass(frozen=True)
 class TurntableCapture(Photographed):
-    """An object from many sides.
+    """An object photographed from many sides.
 
     views, light_names, states: of the sample frames in the order in which they first appear, ('',) where the column is
     empty, but 'off' before 'on'; lights: the lamps of the lights file, or None; matrices: (3, 4) float64 by view, or
@@ -367,7 +367,7 @@ class TurntableCapture(Photographed):
         )
 
     def distortion_of(self, view: str) -> tuple[float, ...]:
-        """Brown's k1, k2, p1, p2, k3 of a view's lens: those of its camera, else of the intrinsics, else zeros."""
+        """Return Brown's k1, k2, p1, p2, k3 of a view's lens: from its camera, else from the intrinsics, else zeros."""
         shared = self.intrinsics.distortion if self.intrinsics else (0.0,) * 5
         return self.distortions.get(view, shared)
 
@@ -434,7 +434,7 @@ def examine_turntable(
 
 
 def _lamps_named(frames: tuple[Frame, ...], lights: Lights | None) -> tuple[Frame, ...]:
-    """Frames with their lamps called as in the lights file; a single lamp need not be named."""
+    """Rename the frames' lamps as in the lights file; a single lamp needs no name."""
     if lights is None:
         return frames
     alone = lights.names[0] if len(lights.names) == 1 else ""

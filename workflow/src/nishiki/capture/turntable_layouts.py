@@ -1,4 +1,4 @@
-"""Folders of turntables and polarisation series as other projects leave them: which camera took which picture."""
+"""Read folders of turntables and polarisation series from other projects: which camera took which picture."""
 
 import io
 import re
@@ -137,7 +137,7 @@ def find_states(source: Path, options: ConvertOptions) -> list[Path] | None:
 
 
 def _matrices_in(path: Path) -> np.ndarray | None:
-    """Projection matrices (views, 3, 4) float64 of a MATLAB file's variable P: a cell array, or one array of them all.
+    """Read projection matrices (views, 3, 4) float64 of a MATLAB file's variable P: a cell array or one array.
 
     None where the file has no such variable. CaptureError (cameras-unreadable) where it is no MATLAB file of level 5.
     """
@@ -162,7 +162,7 @@ def _matrices_in(path: Path) -> np.ndarray | None:
 
 
 def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: ConvertOptions) -> RoundLayout:
-    """Give each photograph, in natural order, a matrix; a last one that repeats the first is left out."""
+    """Give each photograph, in natural order, a matrix; a last one that repeats the first is omitted."""
     (path, matrices), photographs = stored, photographs_in(source)
     notes = []
     repeated = len(photographs) > 2 and sha256_of(photographs[0]) == sha256_of(photographs[-1])
@@ -183,7 +183,7 @@ def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: Conver
 
 
 def _is_camera_list(path: Path) -> bool:
-    """Return whether a file is a count, then as many lines of a picture's name and 21 numbers."""
+    """Check whether a file is a count, then as many lines of a picture's name and 21 numbers."""
     try:
         lines = _camera_lines(path)
     except CaptureError:
@@ -194,7 +194,7 @@ def _is_camera_list(path: Path) -> bool:
 
 
 def _camera_lines(path: Path) -> list[list[str]]:
-    """Words of the lines that are not empty, those beyond the bound of views left out."""
+    """Read words of the lines that are not empty, up to the bound of views."""
     with reading(path.name, "cameras"):
         text = read_text(path, "table_bytes", errors="replace")
     kept = (line.split() for line in io.StringIO(text, newline=None) if line.strip())
@@ -231,7 +231,7 @@ def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundL
 
 
 def place_registered(source: Path, program: str, file: str, found: Registration, pictures: Pictures) -> RoundLayout:
-    """Place the photographs that a program found the cameras of, in the natural order of their names."""
+    """Pair photographs with the cameras of another program, in the natural order of their names."""
     placed = zip(pictures.paths([view.name for view in found.views], file), found.views, strict=True)
     ordered = sorted(placed, key=lambda each: natural_parts(str(each[0])))
     photographs, views = [path for path, _ in ordered], [view for _, view in ordered]

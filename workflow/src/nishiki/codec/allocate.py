@@ -30,7 +30,7 @@ from nishiki.threads import in_threads
 
 
 def principal_channels(covariance: np.ndarray) -> np.ndarray:
-    """(C, C) float64 orthonormal: eigenvectors of a (C, C) second moment, by falling eigenvalue (the KLT).
+    """Compute eigenvectors (C, C) float64 orthonormal of a (C, C) second moment, by falling eigenvalue (the KLT).
 
     Each row's largest entry is positive, so that the result does not depend on the solver's choice of sign. Entries are
     multiples of 2**-20, a number that a header holds exactly; the identity where nothing is known.
@@ -51,18 +51,18 @@ FARTHEST = 2.0  # move of the logarithm of the step
 
 
 class Source(Protocol):
-    """Where tiles come from; called from several threads."""
+    """A source of tiles; called from several threads."""
 
     tiles: int
 
     def pixels(self, tile: int) -> Pixels:
-        """Object pixels of a tile, without held-out views."""
+        """Return a tile's object pixels, without held-out views."""
 
     def surface(self, tile: int) -> TileSurface:
-        """Geometry of a tile."""
+        """Return the geometry of a tile."""
 
     def maps(self, tile: int) -> TileMaps:
-        """Fitted reflection parameters of a tile."""
+        """Return the fitted reflection parameters of a tile."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class Point:
 
 @dataclass(frozen=True)
 class EncodedObject:
-    """Hold a coded object.
+    """A coded object.
 
     design, models (parameters, residual) and, per tile, extents, integers and their streams (parameters, residual;
     b"" where nothing is stored); pixels, errors as in `CodedTile`, summed; curve: passes made.
@@ -117,18 +117,18 @@ class EncodedObject:
 
     @property
     def bytes(self) -> int:
-        """Of all streams and start states."""
+        """Bytes of all streams and start states."""
         return self.bytes_of_tiles + sum(len(pack(m)) for m in self.models)
 
     @property
     def bytes_of_tiles(self) -> int:
-        """Of all streams."""
+        """Bytes of all streams."""
         return sum(len(s) for tile in self.streams for s in tile)
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """Hold the result of a first pass over all tiles.
+    """The result of a first pass over all tiles.
 
     Refined parameters, the design with its colours and means, typical weights, and energy (tiles,) float64: sum of
     squares of the pixels that the model does not explain.
@@ -140,7 +140,7 @@ class Pilot:
     energy: np.ndarray
 
     def sample(self, count: int) -> list[int]:
-        """About `count` of the tiles that any pixel sees, evenly spread over the energy that the model leaves."""
+        """Choose about `count` of the tiles that any pixel sees, evenly spread over the model's residual energy."""
         seen = [tile for tile, refined in enumerate(self.refined) if refined is not None]
         order = sorted(seen, key=lambda tile: (-self.energy[tile], tile))
         count = min(count, len(order))
@@ -157,7 +157,7 @@ class Pilot:
 
 
 def over(work: Callable, items: Sequence, threads: int, progress: Callable | None = None, what: str = "") -> Iterable:
-    """Results of work(item) in order, several at a time, never more than a few ahead."""
+    """Yield results of work(item) in order, several at a time, never more than a few ahead."""
     for done, result in enumerate(in_threads(work, items, threads, 2 * threads)):
         yield result
         if progress:
@@ -213,7 +213,7 @@ def _parameter_statistics(refined: list[Refined], design: Design) -> tuple[Desig
 
 
 def _usual(weight: np.ndarray) -> float:
-    """Mean weight where the weight is: sum of squares over sum, so that texels without any say do not count."""
+    """Average the weights by themselves: sum of squares over sum, so that texels of no weight do not count."""
     return float(np.sum(weight.astype(float) ** 2) / max(np.sum(weight, dtype=float), 1e-30))
 
 
@@ -276,7 +276,7 @@ def code_streams(
 
 
 def psnr(error: float, samples: int) -> float:
-    """Decibels at full scale 1 of a sum of squares; 200 where the error is zero or nothing was measured."""
+    """Compute decibels at full scale 1 of a sum of squares; 200 where the error is zero or nothing was measured."""
     if samples == 0 or error <= 0:
         return 200.0
     return min(200.0, float(-10 * np.log10(error / samples)))
@@ -300,7 +300,7 @@ def find_step(
     share: float = 1.0,
     slope: float = SLOPE,
 ) -> EncodedObject:
-    """Search the step whose value is nearest to `goal` by Newton's method on the logarithm of the step.
+    """Find the step whose value is nearest to `goal` by Newton's method on the logarithm of the step.
 
     run: one pass at a step, going on from the pass before. value: falls as the step grows (bytes and kept as
     logarithms, PSNR as it is). tolerance: of the value. share: of the tiles that a pass covers. slope: of the value,

@@ -1,4 +1,4 @@
-"""Pack what a renderer needs beside the residual in few bytes: mesh, cameras, charts, lamps; and count all bytes.
+"""Pack a renderer's inputs beside the residual in few bytes: mesh, cameras, charts, lamps; and count all bytes.
 
 Draco (https://google.github.io/draco; glTF's KHR_draco_mesh_compression)
 walks over the surface from edge to edge and predicts each position from its neighbours, so that vertices and triangles
@@ -23,7 +23,7 @@ _LARGEST = 2**29  # steps along an axis; Draco predicts in 32-bit integers
 
 @dataclass(frozen=True)
 class CompactMesh:
-    """Hold a coded mesh."""
+    """A coded mesh."""
 
     data: bytes
     order: np.ndarray  # (n,) int64: number of each decoded triangle in the mesh that was coded; step of the grid
@@ -76,7 +76,7 @@ def decode_mesh(data: bytes) -> Mesh:
 
 
 def _same_triangles(points, triangles, decoded_points, decoded_triangles) -> np.ndarray:
-    """For each decoded triangle the number (f,) of the one with the same three points in the same turn."""
+    """Find for each decoded triangle the number (f,) of that with the same three points in the same turn."""
     _, places = np.unique(np.concatenate([points, decoded_points]), axis=0, return_inverse=True)
     places = places.reshape(-1)
     ranks = []
@@ -89,7 +89,7 @@ def _same_triangles(points, triangles, decoded_points, decoded_triangles) -> np.
 
 
 def grid_step(mesh: Mesh, cameras: list[Camera], *, shift_px: float = GRID_PX) -> float:
-    """Largest power of two (world's unit) whose grid moves no vertex by more than `shift_px` in any view."""
+    """Find the largest power of two (world's unit) whose grid moves no vertex by more than `shift_px` in any view."""
     used = np.unique(mesh.triangles)
     points = np.asarray(mesh.vertices, np.float64)[used]
     if not len(points):
@@ -102,7 +102,7 @@ def grid_step(mesh: Mesh, cameras: list[Camera], *, shift_px: float = GRID_PX) -
 
 
 def shift(points: np.ndarray, moved: np.ndarray, cameras: list[Camera]) -> float:
-    """Largest distance in pixels, over all cameras that have it in front, between points (n, 3) and their copies."""
+    """Measure the largest distance in pixels of points (n, 3) before a camera to their copies, over all cameras."""
     worst = 0.0
     for camera in cameras:
         (before, depth), (after, depth_after) = camera.project(points), camera.project(moved)
@@ -144,7 +144,7 @@ def chart_bytes(chart: np.ndarray, order: np.ndarray) -> int:
 
 
 def lamp_bytes(lighting: dict) -> int:
-    """4 bytes for each number of `Lighting.as_dict`."""
+    """Count 4 bytes for each number of `Lighting.as_dict`."""
 
     def numbers(value) -> int:
         if isinstance(value, dict):
@@ -158,7 +158,7 @@ def lamp_bytes(lighting: dict) -> int:
 
 @dataclass(frozen=True)
 class Cost:
-    """parts: bytes by what they hold; mesh: as it was coded, vertex_shift_px: how far that moves a vertex, at most."""
+    """Bytes by part; mesh: as it was coded; vertex_shift_px: the largest shift of a vertex by that coding."""
 
     parts: dict[str, int]
     mesh: CompactMesh

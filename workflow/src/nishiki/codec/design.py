@@ -1,4 +1,4 @@
-"""Fix what encoder and decoder have to agree on: the header of a store, the coded extent and the axis of views.
+"""Fix the agreement of encoder and decoder: the header of a store, the coded extent and the axis of views.
 
 A tile is seen from an arc of the turn. Views outside the arc cost nothing: they are not in the block. Gaps inside
 it (held-out views, occlusion) are invisible samples, which the solver fills.
@@ -15,7 +15,7 @@ from nishiki.formats.stored import PlainFields
 
 
 def visible_arc(seen: np.ndarray, *, full_turn: bool) -> tuple[int, int]:
-    """First view and number of views of the shortest arc that holds every seen view.
+    """Find first view and number of views of the shortest arc that holds every seen view.
 
     seen (views,) bool. full_turn: the last view neighbours the first, so that an arc may pass the end. (0, 0) where
     nothing is seen; the lowest start where two arcs are equally short.
@@ -33,13 +33,13 @@ def visible_arc(seen: np.ndarray, *, full_turn: bool) -> tuple[int, int]:
 
 
 def arc_views(start: int, length: int, views: int) -> np.ndarray:
-    """(length,) int64: the views of an arc, in the order of the turn."""
+    """List the views (length,) int64 of an arc, in the order of the turn."""
     return (start + np.arange(length)) % views
 
 
 @lru_cache(maxsize=512)
 def view_matrix(kind: str, length: int) -> np.ndarray:
-    """(length, length) float64 orthonormal; rows are basis vectors, lowest frequency first.
+    """Make the basis (length, length) float64 orthonormal; rows are basis vectors, lowest frequency first.
 
     kind: "cosine" (DCT-II), "none", or the name of an orthonormal wavelet: as many levels as `length` allows, an odd
     coarsest band goes on with a DCT.
@@ -64,7 +64,7 @@ SIDES = (8, 16, 32, 48, 64, 96, 128, 192, 256, 320, 384, 448)
 
 @dataclass(frozen=True)
 class Extent:
-    """start, length: arc of views; row, column, rows, columns: rectangle of texels. length 0: nothing sees the tile."""
+    """The coded arc of views (start, length) and rectangle of texels (row, column, rows, columns); length 0: unseen."""
 
     start: int
     length: int
@@ -79,16 +79,16 @@ class Extent:
         return slice(self.row, self.row + self.rows), slice(self.column, self.column + self.columns)
 
     def observations(self, views: int, lights: int) -> np.ndarray:
-        """(lights * length,) int64: observations of the block, in its order."""
+        """List the observations (lights * length,) int64 of the block, in its order."""
         return (np.arange(lights)[:, None] * views + arc_views(self.start, self.length, views)[None]).reshape(-1)
 
     def row_of_numbers(self) -> tuple[int, ...]:
-        """As the index stores it."""
+        """Return the numbers that the index stores."""
         return self.start, self.length, self.row, self.column, self.rows, self.columns
 
 
 def extent_of(seen: np.ndarray, inside: np.ndarray, *, full_turn: bool, arcs: bool) -> Extent:
-    """seen (views,) bool; inside (T, T) bool. arcs: False keeps all views."""
+    """Find the extent of seen (views,) bool and inside (T, T) bool. arcs: False keeps all views."""
     start, length = visible_arc(seen, full_turn=full_turn) if arcs else (0, len(seen) if seen.any() else 0)
     row, rows = _side(inside.any(axis=1))
     column, columns = _side(inside.any(axis=0))
@@ -96,7 +96,7 @@ def extent_of(seen: np.ndarray, inside: np.ndarray, *, full_turn: bool, arcs: bo
 
 
 def _side(used: np.ndarray) -> tuple[int, int]:
-    """First texel and number of texels: the smallest of SIDES that holds all used ones, or the whole tile."""
+    """Find first texel and number of texels: the smallest of SIDES that holds all used ones, or the whole tile."""
     at = np.flatnonzero(used)
     if not len(at):
         return 0, min(SIDES[0], len(used))
@@ -110,7 +110,7 @@ GROUPS = ("kd", "ks", "sigma")
 
 @dataclass(frozen=True)
 class Design(PlainFields):
-    """Hold the parameters of the coding.
+    """The parameters of the coding.
 
     tile_size T; views, lights, channels of the capture; full_turn; encoding. wavelet, levels,
     mirrored: of the planes; view_transform, light_transform: along the
@@ -144,7 +144,7 @@ class Design(PlainFields):
 
     @classmethod
     def from_dict(cls, values: dict) -> "Design":
-        """Inverse of `as_dict`. UserError where keys are missing or unknown: another version wrote them."""
+        """Invert `as_dict`. UserError where keys are missing or unknown: another version wrote them."""
         names = {f.name for f in fields(cls)}
         if set(values) != names:
             wrong = sorted(set(values) ^ names)
@@ -152,42 +152,42 @@ class Design(PlainFields):
         return super().from_dict(values)
 
     def plane(self, extent: Extent) -> Plane:
-        """Transform of the residual's planes."""
+        """Return the transform of the residual's planes."""
         return plane_transform(self.wavelet, extent.rows, extent.columns, self.levels, mirrored=self.mirrored)
 
     def parameter_plane(self, extent: Extent) -> Plane:
-        """Transform of the parameters' planes."""
+        """Return the transform of the parameters' planes."""
         levels, mirrored = self.parameter_levels, self.parameter_mirrored
         return plane_transform(self.parameter_wavelet, extent.rows, extent.columns, levels, mirrored=mirrored)
 
     def block(self, extent: Extent) -> Block:
-        """Transform of a tile."""
+        """Return the transform of a tile."""
         along_lights = view_matrix(self.light_transform, self.lights)
         return Block(self.plane(extent), view_matrix(self.view_transform, extent.length), along_lights)
 
     def shape(self, extent: Extent) -> tuple[int, int, int, int, int]:
-        """Of a tile's block: (channels, lights, views, rows, columns)."""
+        """Return the shape of a tile's block: (channels, lights, views, rows, columns)."""
         return self.channels, self.lights, extent.length, extent.rows, extent.columns
 
     def residual_shape(self, extent: Extent) -> tuple[int, int, int, int]:
-        """Of a tile's coded residual: (channels, lights * views, rows, columns)."""
+        """Return the shape of a tile's coded residual: (channels, lights * views, rows, columns)."""
         return self.channels, self.lights * extent.length, extent.rows, extent.columns
 
     def parameter_shape(self, extent: Extent) -> tuple[int, int, int, int]:
-        """Of a tile's coded parameters: (channels, 3, rows, columns)."""
+        """Return the shape of a tile's coded parameters: (channels, 3, rows, columns)."""
         return self.channels, len(GROUPS), extent.rows, extent.columns
 
     def mix(self) -> np.ndarray:
-        """(C, C) float64: new channels from old."""
+        """Return the matrix (C, C) float64 from old to new channels."""
         return np.array(self.colour) if self.colour else np.eye(self.channels)
 
     def parameter_mix(self, group: int) -> np.ndarray:
-        """(C, C) float64 of kd (0) or ks (1); (1, 1) of log sigma."""
+        """Return the mix (C, C) float64 of kd (0) or ks (1); (1, 1) of log sigma."""
         if group == 2:
             return np.eye(1)
         return np.array(self.parameter_colour[group]) if self.parameter_colour else np.eye(self.channels)
 
     def parameter_mean(self, group: int) -> np.ndarray:
-        """Means that are taken off before the transform."""
+        """Return the means that are subtracted before the transform."""
         count = 1 if group == 2 else self.channels
         return np.array(self.parameter_means[group]) if self.parameter_means else np.zeros(count)

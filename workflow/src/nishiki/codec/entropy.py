@@ -28,7 +28,7 @@ UNARY = 18  # decisions of a magnitude before its code goes on otherwise
 
 @dataclass(frozen=True)
 class Model:
-    """Hold the state at the start of a tile."""
+    """The state at the start of a tile."""
 
     chance: np.ndarray  # (contexts,) int64 22-bit probabilities
     seen: np.ndarray  # (contexts,) int64 their weight
@@ -51,7 +51,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Coded:
-    """Hold a coded block."""
+    """A coded block."""
 
     data: bytes
     ends: np.ndarray  # (bands,) int64: bytes needed for each band and all before it
@@ -75,7 +75,7 @@ def bands_of(rows: int, columns: int, levels: int) -> np.ndarray:
 
 
 def encode(values: np.ndarray, levels: int, model: Model) -> Coded:
-    """Bytes of integers (channels, frequencies, rows, columns) int32, magnitudes below 2^31."""
+    """Encode integers (channels, frequencies, rows, columns) int32, magnitudes below 2^31."""
     values = np.ascontiguousarray(values, np.int32)
     coded, length = _encoded(values, levels, model, 4 * values.size + 4096)
     if length > 4 * values.size + 4096:  # large magnitudes everywhere; the coder says what they take
@@ -84,7 +84,7 @@ def encode(values: np.ndarray, levels: int, model: Model) -> Coded:
 
 
 def _encoded(values: np.ndarray, levels: int, model: Model, size: int) -> tuple[Coded, int]:
-    """Coded into a buffer of `size` bytes, and the bytes that it takes: the coding is void where these are more."""
+    """Encode into a buffer of `size` bytes; also return the bytes it takes: the coding is void where these are more."""
     bands = bands_of(values.shape[-2], values.shape[-1], levels)
     ends = np.zeros(len(bands), np.int64)
     coder = model.coder(np.empty(size, np.uint8), decoding=False)
@@ -93,7 +93,7 @@ def _encoded(values: np.ndarray, levels: int, model: Model, size: int) -> tuple[
 
 
 def decode(data: bytes, shape: tuple[int, int, int, int], levels: int, model: Model, *, drop: int = 0) -> np.ndarray:
-    """Inverse of `encode`: (channels, frequencies, rows, columns) int32; the `drop` finest levels stay zero, unread."""
+    """Invert `encode`: (channels, frequencies, rows, columns) int32; the `drop` finest levels stay zero, unread."""
     bands = bands_of(*shape[-2:], levels)
     bands_read = len(bands) - 3 * min(drop, levels)
     values = np.zeros(shape, np.int32)
@@ -104,7 +104,7 @@ def decode(data: bytes, shape: tuple[int, int, int, int], levels: int, model: Mo
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def code_block(values, bands, count, coder, ends):
-    """Code the first `count` bands; number of bytes written (encoding)."""
+    """Code the first `count` bands; return the number of bytes written (encoding)."""
     begin(coder.state, coder.data, coder.decoding)
     channels, frequencies = values.shape[0], values.shape[1]
     filled = np.zeros((bands.shape[0], frequencies, channels), np.int64)
@@ -124,7 +124,7 @@ def code_block(values, bands, count, coder, ends):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def place_class(k, c, level, orientation):
-    """Frequency (10 classes), channel (3), level (8), orientation (3) in one number below 720."""
+    """Combine frequency (10 classes), channel (3), level (8), orientation (3) in one number below 720."""
     f = k
     if k >= 4:
         f = 4 if k < 6 else 5 if k < 9 else 6 if k < 13 else 7 if k < 20 else 8 if k < 36 else 9
@@ -134,7 +134,7 @@ def place_class(k, c, level, orientation):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def code_flag(some, filled, bands, b, k, c, coder):
-    """Whether the band has any coefficient at this frequency and channel."""
+    """Code whether the band has any coefficient at this frequency and channel."""
     parent = bands[b, 6]
     before = filled[b, k - 1, c] if k > 0 else 2
     earlier = filled[b, k - 2, c] if k > 1 else 1
@@ -150,7 +150,7 @@ def code_flag(some, filled, bands, b, k, c, coder):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _around(plane, band, i, j):
-    """Twice the magnitude at (i, j) of a band plus those of its four neighbours inside the band."""
+    """Sum twice the magnitude at (i, j) of a band and those of its four neighbours inside the band."""
     r, c = band[0], band[1]
     total = 2 * abs(plane[r + i, c + j])
     if i > 0:
@@ -166,7 +166,7 @@ def _around(plane, band, i, j):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _grade(value):
-    """0, 1, 2, 3-4, 5-8, above: six grades of a sum of magnitudes."""
+    """Return one of six grades of a sum of magnitudes: 0, 1, 2, 3-4, 5-8, above."""
     if value < 3:
         return value
     return 3 if value < 5 else 4 if value < 9 else 5
@@ -254,7 +254,7 @@ def code_plane(values, filled, bands, b, k, c, coder):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def code_rest(size, state, data, decoding):
-    """Magnitudes from UNARY on, by Elias' gamma code of what is above."""
+    """Code magnitudes from UNARY on, by Elias' gamma code of the excess."""
     rest = size - UNARY + 1
     bits = 0
     if not decoding:
@@ -312,7 +312,7 @@ def pack(model: Model) -> bytes:
 
 
 def unpack(data: bytes) -> Model:
-    """Inverse of `pack`. UserError where the bytes are not those of a model of this version."""
+    """Invert `pack`. UserError where the bytes are not those of a model of this version."""
     if not data:
         return Model.untrained()
     try:

@@ -39,7 +39,7 @@ def predict_texels(
     lamps: Sequence[ViewLamp],
     encoding: str,
 ) -> np.ndarray:
-    """(C, observations, T, T) float32: encode(model) of kd, ks (T, T, C), sigma (T, T), for each camera and lamp.
+    """Compute encode(model) (C, observations, T, T) float32 of kd, ks (T, T, C), sigma (T, T), per camera and lamp.
 
     centres (observations, 3).
     """
@@ -55,7 +55,7 @@ WIDTH_FLOOR = 1e-3  # radians
 
 @dataclass(frozen=True)
 class TileMaps:
-    """kd, ks (T, T, C) float32, sigma (T, T) float32, radians."""
+    """A tile's maps: kd, ks (T, T, C) float32, sigma (T, T) float32, radians."""
 
     kd: np.ndarray
     ks: np.ndarray
@@ -64,7 +64,7 @@ class TileMaps:
 
 @dataclass(frozen=True)
 class Weights:
-    """Weigh changes of texels by their squared effect on the pictures.
+    """Weights of changes of texels: their squared effect on the pictures.
 
     kd, ks (T, T, C) per unit, sigma (T, T) per unit of log sigma.
     """
@@ -76,7 +76,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class Factors:
-    """Hold the model apart from its parameters, in each observation."""
+    """The model apart from its parameters, in each observation."""
 
     # (C, M, rows, columns) multiplies K_d; strength * exp(-squared_angle / (2 sigma^2)), both (M, rows, columns),
     # multiplies K_s
@@ -85,12 +85,12 @@ class Factors:
     squared_angle: np.ndarray
 
     def lobe(self, sigma: np.ndarray) -> np.ndarray:
-        """(M, rows, columns): what multiplies K_s."""
+        """Compute the factor (M, rows, columns) of K_s."""
         return self.strength * np.exp(self.squared_angle * (-0.5 / sigma.astype(np.float32) ** 2))
 
 
 def model_factors(channels: int, surface: TileSurface, centres, lamps: Sequence[ViewLamp]) -> Factors:
-    """Factors of a tile for every observation, from the model itself with K_d = K_s = 1 and lobes of known width."""
+    """Compute a tile's factors for every observation, from the model with K_d = K_s = 1 and lobes of known width."""
     shape = surface.inside.shape
     ones = np.ones((*shape, channels), np.float32)
     irradiance = np.empty((channels, len(lamps), *shape), np.float32)
@@ -148,7 +148,7 @@ def refine(
 
 
 def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values: np.ndarray, encoding: str, usable):
-    """Downhill directions of half the squared error of the pictures by kd, ks, log sigma."""
+    """Compute the downhill directions of half the squared error of the pictures by kd, ks, log sigma."""
     kd, ks, width = at
     sigma = np.exp(width)
     lobe = factors.lobe(sigma)
@@ -165,7 +165,7 @@ def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values:
 
 
 def texel_weights(maps: TileMaps, factors: Factors, feet: Footprints, encoding: str) -> Weights:
-    """Diagonal of the error's curvature at the given parameters, off-diagonal terms added (so that it bounds it)."""
+    """Bound the error's curvature at the given parameters by its diagonal, off-diagonal terms added."""
     density = feet.density()
     kd, ks = np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0)
     lobe = factors.lobe(maps.sigma)
@@ -178,7 +178,7 @@ def texel_weights(maps: TileMaps, factors: Factors, feet: Footprints, encoding: 
 
 
 def _pace(weight: np.ndarray, largest: float) -> np.ndarray:
-    """Step of each texel: half the inverse curvature (two parameters share the data), 0 where nothing is seen.
+    """Compute each texel's step: half the inverse curvature (two parameters share the data), 0 where nothing is seen.
 
     largest : curvature below a fiftieth of which a texel moves no faster. Of K_s it is not below that of K_d: where no
     view comes near the highlight, K_s would grow by many powers of ten to explain what the model lacks.
@@ -192,7 +192,7 @@ ITERATIONS = 60  # of the solver
 def encode_parameters(
     maps: TileMaps, weights: Weights, typical: tuple[float, ...], design: Design, extent: Extent, threshold: float
 ):
-    """(C, 3, rows, columns) int32: kd, ks and log sigma (channel 0) as multiples of their steps; of cropped maps.
+    """Encode cropped maps: kd, ks, log sigma (channel 0) as multiples of their steps, (C, 3, rows, columns) int32.
 
     typical: weight of a typical texel for each group; texels weigh in with their own up to that, so that what the
     pictures do not show is filled with whatever is cheapest. threshold: in steps.

@@ -47,7 +47,7 @@ class PictureSource:
         return self.count * len(areas_of(self.shape))
 
     def pixels(self, tile: int) -> Pixels:
-        """Object pixels of a tile under every light; none of a view that is not coded."""
+        """Return a tile's object pixels under every light; none of a view that is not coded."""
         view, place = divmod(tile, len(areas_of(self.shape)))
         if view not in self.views:
             nothing = np.zeros(0, np.float32)

@@ -27,7 +27,7 @@ RATE = np.round(65536 / (np.arange(LIMIT + 1) + 1.6)).astype(np.int64)
 
 
 class Coder(NamedTuple):
-    """Hold the state of an entropy coder, which changes in place: its bytes, data (n,) uint8, and its adaptive models.
+    """The state of an entropy coder, which changes in place: its bytes, data (n,) uint8, and its adaptive models.
 
     chance, seen (contexts,), tally (contexts, 2) zeros and ones, for training, weights (groups, INPUTS), state (4,):
     int64.
@@ -83,7 +83,7 @@ def begin(state, data, decoding):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def finish(state, data):
-    """Write the shortest byte string inside the last interval; number of bytes, zeros at the end left out.
+    """Write the shortest byte string inside the last interval; return its length, zeros at the end left out.
 
     More than data holds: nothing can be used, so many bytes are needed.
     """

@@ -1,4 +1,4 @@
-"""Quantise coefficients uniformly with a dead zone, and estimate what each costs in bits.
+"""Quantise coefficients uniformly with a dead zone, and estimate the cost of each in bits.
 
 The coder predicts zeros from neighbours in the plane, the parent and the sister bands, the frequencies and channels
 beside (`entropy`). Here the same neighbours, those still to come included, are summed to a grade, and how often the
@@ -49,7 +49,7 @@ MORE = 3.5  # bits: the sign, the magnitude, and neighbours' zeros made less lik
 
 
 def expected_bits(coefficients: np.ndarray, step: float, levels: int) -> np.ndarray:
-    """(channels, lights, views, rows, columns) float32, at least 1: bits that each coefficient adds by not being zero.
+    """Estimate the bit cost, >= 1, of each non-zero coefficient: (channels, lights, views, rows, columns) float32.
 
     coefficients: of that shape, float32; step: of the quantiser; levels: of the planes.
     """
@@ -68,7 +68,7 @@ def expected_bits(coefficients: np.ndarray, step: float, levels: int) -> np.ndar
 
 
 def bits_of(tally: np.ndarray) -> np.ndarray:
-    """(levels, grades) float32 bits of counts (levels, grades, 2) of zeros and others; rare ones lean on all levels."""
+    """Convert counts (levels, grades, 2) of zeros and others to bits (levels, grades) float32; pool rare grades."""
     pooled = tally.sum(axis=0)
     chance = (pooled[:, 1] + 0.5) / (pooled.sum(axis=1) + 2)
     share = (tally[..., 1] + 8 * chance) / (tally.sum(axis=2) + 8)
@@ -83,7 +83,7 @@ def magnitudes(coefficients: np.ndarray, step: float) -> np.ndarray:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def neighbourhoods(values, bands, amounts):
-    """Weighted sums of the neighbours' magnitudes, of values (channels, frequencies, rows, columns) uint8."""
+    """Sum the neighbours' magnitudes, weighted, of values (channels, frequencies, rows, columns) uint8."""
     for b in range(bands.shape[0]):
         top, left = bands[b, 0], bands[b, 1]
         for c in range(values.shape[0]):

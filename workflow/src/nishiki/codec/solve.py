@@ -27,7 +27,7 @@ from nishiki.codec.transform import Block, Plane, squared_lengths
 
 @dataclass(frozen=True)
 class Footprints:
-    """Where pixels look into a block of texels.
+    """Places where pixels look into a block of texels.
 
     corner (n,) int32: index of the upper left texel in a flattened (observation, rows, columns) block; down, right (n,)
     float32 in [0, 1]: weights of the row below and the column to the right; order (n,) int64: places in the
@@ -56,7 +56,7 @@ class Footprints:
         return cls(corner[order].astype(np.int32), down, right, order, shape)
 
     def look_up(self, texels: np.ndarray) -> np.ndarray:
-        """(channels, n) values at the pixels, of texels (channels, observations, rows, columns)."""
+        """Look up texels (channels, observations, rows, columns) at the pixels: values (channels, n)."""
         channels = texels.shape[0]
         out = np.empty((channels, len(self.corner)), texels.dtype)
         flat = np.ascontiguousarray(texels).reshape(channels, -1)
@@ -80,7 +80,7 @@ class Footprints:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bilinear(texels, corner, down, right, columns, out):
-    """out[c, n] = the texels (channels, observations * rows * columns) seen by pixel n."""
+    """Interpolate texels (channels, observations * rows * columns) at each pixel n into out[c, n]."""
     for c in range(texels.shape[0]):
         plane = texels[c]
         for n in range(corner.shape[0]):
@@ -92,7 +92,7 @@ def bilinear(texels, corner, down, right, columns, out):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bilinear_adjoint(values, corner, down, right, columns, out):
-    """out[c, texel] += weight * values[c, n]: the transpose of `bilinear`."""
+    """Add weight * values[c, n] to out[c, texel]: the transpose of `bilinear`."""
     for c in range(values.shape[0]):
         plane = out[c]
         for n in range(corner.shape[0]):
@@ -108,7 +108,7 @@ def bilinear_adjoint(values, corner, down, right, columns, out):
 
 @dataclass(frozen=True)
 class Solution:
-    """coefficients (channels, lights, views, T, T) float32; error: sum of squares left in the data; iterations."""
+    """A solution: coefficients (channels, lights, views, T, T) float32; error: squared residual sum; iterations."""
 
     coefficients: np.ndarray
     error: float
@@ -141,7 +141,7 @@ def solve(
     threshold: float,
     iterations: int,
 ) -> Solution:
-    """Coefficients of `data` (channels, n) or (channels, lights * views, T, T).
+    """Solve for the coefficients of `data` (channels, n) or (channels, lights * views, T, T).
 
     threshold: smallest coefficient worth its price. shape: of the block (channels, lights, views, T, T).
     """
@@ -166,7 +166,7 @@ def solve(
 
 
 def samples_of(block: Block, coefficients: np.ndarray) -> np.ndarray:
-    """(channels, lights * views, T, T) samples of coefficients (channels, lights, views, T, T)."""
+    """Compute samples (channels, lights * views, T, T) of coefficients (channels, lights, views, T, T)."""
     out = block.inverse(coefficients)
     return out.reshape(out.shape[0], -1, *out.shape[-2:])
 
@@ -177,7 +177,7 @@ FLAT_ROUNDS = 2
 
 @dataclass(frozen=True)
 class Pursuit:
-    """Set the effort of the search."""
+    """The effort of the search."""
 
     rounds: int = 6  # choices of the support
     resumed: int = 3  # choices after an earlier solution
@@ -187,7 +187,7 @@ class Pursuit:
 
 
 def transfers(plane: Plane) -> np.ndarray:
-    """(rows, columns) in 1/3..1: the mean share of a coefficient's energy that a bilinear look-up passes, by band.
+    """Compute the mean share (rows, columns), 1/3..1, of a coefficient's energy that bilinear look-up passes, by band.
 
     A look-up at a fraction f passes |1 - f + f exp(i w)|^2 of a frequency w; its mean over f is 2/3 + cos(w) / 3, here
     averaged over the octave of each band. The coarsest band passes.
@@ -206,7 +206,7 @@ def transfers(plane: Plane) -> np.ndarray:
 
 
 def curvatures(block: Block, density: np.ndarray) -> np.ndarray:
-    """(lights, views, rows, columns) float32: |A S e|^2 of every coefficient e, expected of pixels of some density.
+    """Estimate |A S e|^2 (lights, views, rows, columns) float32 of every coefficient e for pixels of some density.
 
     density (lights * views, rows, columns): the weight that pixels give each texel. At least 0.001 of the largest.
     """
@@ -228,7 +228,7 @@ def pursue(
     effort: Pursuit,
     start: np.ndarray | None = None,
 ) -> Solution:
-    """Coefficients (channels, lights, views, T, T) float32 of pixel values `data` (channels, n) float32.
+    """Find coefficients (channels, lights, views, T, T) float32 of pixel values `data` (channels, n) float32.
 
     curvature: (lights, views, T, T), see `curvatures`; price: squared error that a bit is worth; bits: expected of
     every coefficient, of a solution in hand. While there is none, every coefficient costs one bit, at the higher prices
@@ -257,7 +257,7 @@ def pursue(
 
 
 def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit) -> np.ndarray:
-    """Conjugate gradients on the chosen coefficients, `held` in place; what is left of data.
+    """Run conjugate gradients on the chosen coefficients, `held` in place; return the residual of data.
 
     The gradient is computed only where coefficients are chosen.
     """
@@ -314,7 +314,7 @@ def choose(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def dot(one, other):
-    """Inner product in double precision, in a fixed order."""
+    """Compute the inner product in double precision, in a fixed order."""
     total = 0.0
     for n in range(one.size):
         total += one.flat[n] * other.flat[n]

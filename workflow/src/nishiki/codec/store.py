@@ -33,7 +33,7 @@ MOST_DESIGN = 1 << 24  # bytes of the description, inflated
 
 @dataclass(frozen=True)
 class Contents:
-    """design, models and, per tile, extents and lengths (tiles, streams); offset: of the first stream."""
+    """A store's contents: design, models, per tile extents, lengths (tiles, streams); offset: of the first stream."""
 
     design: Design
     models: tuple[Model, Model]
@@ -42,7 +42,7 @@ class Contents:
     offset: int
 
     def place(self, tile: int, stream: int) -> tuple[int, int]:
-        """First byte and number of bytes of a tile's stream."""
+        """Return first byte and number of bytes of a tile's stream."""
         before = int(self.lengths[:tile].sum() + self.lengths[tile, :stream].sum())
         return self.offset + before, int(self.lengths[tile, stream])
 
@@ -75,19 +75,19 @@ def pack_object(encoded: EncodedObject) -> tuple[bytes, dict[str, int]]:
 
 
 def frame_bytes(tiles: int) -> int:
-    """About how many bytes header, index and the store's own files take, before anything is coded."""
+    """Estimate the bytes of header, index and the store's own files, before anything is coded."""
     return round(FRAME + FRAME_OF_TILE * tiles)
 
 
 def head_length(first: bytes) -> int:
-    """Bytes before the streams, from the first eight. UserError where they are not those of a residual."""
+    """Read the number of bytes before the streams from the first eight. UserError where they are not a residual's."""
     if len(first) < 8 or first[:4] != MAGIC:
         raise UserError(f"residual: expected bytes that begin with {MAGIC!r}, found {first[:4]!r}; run the stage again")
     return 8 + struct.unpack("<I", first[4:8])[0]
 
 
 def unpack_head(data: bytes) -> Contents:
-    """Inverse of `pack_object` but for the streams; data: at least the first `head_length` bytes."""
+    """Invert `pack_object` except for the streams; data: at least the first `head_length` bytes."""
     end = head_length(data)
     if len(data) < 36:
         raise UserError(f"residual: header of {end} bytes expected, found {len(data)}; run the stage again")
@@ -120,7 +120,7 @@ def inflated(data: bytes, most: int) -> bytes:
 
 
 def _planes(values: np.ndarray) -> bytes:
-    """Bytes by significance, column after column: small numbers leave planes of zeros, which compress to nothing."""
+    """Sort bytes by significance, column after column: small numbers leave planes of zeros that compress to nothing."""
     columns = np.ascontiguousarray(values.T)
     return np.ascontiguousarray(columns.view(np.uint8).reshape(-1, values.itemsize).T).tobytes()
 
@@ -139,7 +139,7 @@ CHUNK = 1 << 16
 def write_residual(
     folder: Path, encoded: EncodedObject, pictures: EncodedObject | None = None, *, stamp: dict[str, str], report: dict
 ) -> dict[str, int]:
-    """Write `residual.zarr`, where there are any `pictures.zarr`, and `residual.json` into a folder; bytes by part.
+    """Write `residual.zarr`, `pictures.zarr` if there are any, and `residual.json` to a folder; return bytes by part.
 
     The report holds the SHA-256 of the arrays' metadata, which no chunk's checksum covers.
     """
@@ -162,7 +162,7 @@ def _metadata_sha256(folder: Path) -> str:
 
 
 def _write_coded(path: Path, encoded: EncodedObject, stamp: dict[str, str]) -> dict[str, int]:
-    """Write an object as an array of bytes in equal chunks of at most 64 KiB with a CRC-32C each; bytes by part.
+    """Write an object as bytes in equal chunks of at most 64 KiB with a CRC-32C each; return the bytes by part.
 
     Coded bytes do not compress further, and a last chunk that is not full would be stored in full.
     """
@@ -185,7 +185,7 @@ def _write_coded(path: Path, encoded: EncodedObject, stamp: dict[str, str]) -> d
 
 @dataclass(frozen=True)
 class CodedTexels:
-    """Hold n coded observations of k coded texels, and zeros for all others."""
+    """Values of n coded observations of k coded texels, and zeros for all others."""
 
     values: np.ndarray  # (n + 1, k + 1, C) float32
     observation: np.ndarray  # (M,)
@@ -215,7 +215,7 @@ class Coded:
         self.observations = self.design.views * self.design.lights
 
     def texels(self, tile: int, level: int = 0) -> np.ndarray | None:
-        """(C, observations, rows, columns) float32 in a tile's extent; None where nothing is stored.
+        """Decode texels (C, observations, rows, columns) float32 in a tile's extent; None where nothing is stored.
 
         level: so many of the finest bands are left out.
         """
@@ -226,11 +226,11 @@ class Coded:
         return decode_residual(decode(stream, shape, levels, self.models[1], drop=level), design, extent)
 
     def stored(self, tile: int) -> tuple[int, ...]:
-        """Bytes of each stream of a tile: parameters, residual."""
+        """Count the bytes of each stream of a tile: parameters, residual."""
         return tuple(int(n) for n in self._contents.lengths[tile])
 
     def stream(self, tile: int, stream: int) -> bytes:
-        """Coded bytes of one stream of a tile, in the order of `stored`."""
+        """Read the coded bytes of one stream of a tile, in the order of `stored`."""
         start, length = self._contents.place(tile, stream)
         return self._read(start, length) if length else b""
 
@@ -276,7 +276,7 @@ class Residual(Coded):
         self.pictures = Coded(folder / PICTURES) if (folder / PICTURES).is_dir() else None
 
     def parameters(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """kd, ks (T, T, C), sigma (T, T) float32, as the encoder's own prediction used them."""
+        """Decode kd, ks (T, T, C), sigma (T, T) float32, as the encoder's own prediction used them."""
         kd, ks = np.zeros((2, self.size, self.size, self.channels), np.float32)
         sigma = np.ones((self.size, self.size), np.float32)
         extent, design = self.extents[tile], self.design
@@ -289,7 +289,7 @@ class Residual(Coded):
         return kd, ks, sigma
 
     def decode(self, tile: int, *, level: int = 0) -> np.ndarray:
-        """(M, T, T, C) float32: the residual in the capture's encoding, zero in views that do not see the tile.
+        """Decode the residual (M, T, T, C) float32 in the capture's encoding, zero in views that do not see the tile.
 
         level: so many of the finest bands are left out (and not even read): a blurred preview.
         """
@@ -298,7 +298,7 @@ class Residual(Coded):
         return every.reshape(self.observations, self.size, self.size, self.channels)
 
     def decode_coded(self, tile: int, *, level: int = 0) -> CodedTexels:
-        """As `decode`, but only the observations and texels that are coded: a third of the memory of all, or less."""
+        """Decode only the observations and texels that are coded: a third of the memory of `decode`, or less."""
         design, extent = self.design, self.extents[tile]
         places = extent.observations(design.views, design.lights)
         rows, columns = (range(self.size)[part] for part in extent.texels)
@@ -312,5 +312,5 @@ class Residual(Coded):
         return CodedTexels(values, observation, texel.reshape(-1))
 
     def empty(self, tile: int) -> bool:
-        """Whether nothing is stored for a tile's residual: the model suffices."""
+        """Check whether nothing is stored for a tile's residual: the model suffices."""
         return not self._contents.lengths[tile, 1:].any()

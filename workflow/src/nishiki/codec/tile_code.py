@@ -1,4 +1,4 @@
-"""One tile from pixels to integers and from integers to texels."""
+"""Code one tile from pixels to integers, and decode integers to texels."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,7 +25,7 @@ from nishiki.codec.solve import Footprints, Operator, Pursuit, curvatures, pursu
 
 @dataclass(frozen=True)
 class Pixels:
-    """Hold the object pixels of one tile.
+    """The object pixels of one tile.
 
     observation (n,) int32, s, t (n,) float32, values (n, C) float32 in the capture's encoding; saturated
     (n,) bool: pixels that the residual reproduces but no parameter is fitted to (None: no pixel).
@@ -40,7 +40,7 @@ class Pixels:
 
 @dataclass(frozen=True)
 class CodedScene:
-    """centres (M, 3) of the cameras and lamps of every observation, light by light."""
+    """The centres (M, 3) of the cameras and the lamps of every observation, light by light."""
 
     centres: np.ndarray
     lamps: Sequence[ViewLamp]
@@ -48,7 +48,7 @@ class CodedScene:
 
 @dataclass(frozen=True)
 class Effort:
-    """Set the effort of coding."""
+    """The effort of coding."""
 
     pursuit: Pursuit = field(default_factory=Pursuit)  # of the residual's solver
     price: float = 0.05  # of a bit, in squared steps at a typical pixel
@@ -61,7 +61,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class Typical:
-    """Hold values of typical texels of the object."""
+    """Values of typical texels of the object."""
 
     parameters: tuple[float, float, float]  # weights of kd, ks (mean over channels) and log sigma, as in `Weights`
     density: float  # mean weight that pixels give a texel
@@ -69,7 +69,7 @@ class Typical:
 
 @dataclass(frozen=True)
 class CodedTile:
-    """Hold a coded tile.
+    """A coded tile.
 
     parameters (C, 3, rows, columns) int32; residual (C, lights * views, rows, columns) int32; extent;
     pixels; error, model_error: sums of squares over pixels and channels of the decoded tile and of its model alone.
@@ -90,7 +90,7 @@ class CodedTile:
 
 @dataclass(frozen=True)
 class Refined:
-    """Parameters of a tile solved for in the pictures, and what an error in them does."""
+    """Parameters of a tile solved for in the pictures, and the effect of an error in them."""
 
     maps: TileMaps
     weights: Weights
@@ -98,7 +98,7 @@ class Refined:
 
 @dataclass(frozen=True)
 class Seen:
-    """Hold the pixels' view of a tile.
+    """The pixels' view of a tile.
 
     Its extent, the observations of the block, the surface in the extent, footprints in the block, the pixel values (C,
     n), and usable (n,) bool: pixels that parameters are fitted to.
@@ -135,7 +135,7 @@ def see(pixels: Pixels, surface: TileSurface, design: Design) -> Seen | None:
 
 
 def refine_tile(seen: Seen, maps: TileMaps, scene: CodedScene, design: Design, effort: Effort) -> Refined:
-    """Parameters of a tile such that the pictures of the model are right; zero where the design has no model."""
+    """Refine a tile's parameters so that the model's pictures are right; zero where the design has no model."""
     maps = TileMaps(*(np.nan_to_num(a[seen.extent.texels].astype(np.float32)) for a in (maps.kd, maps.ks, maps.sigma)))
     if not design.model:
         zero = np.zeros_like(maps.kd)
@@ -165,7 +165,7 @@ def encode_tile(
     typical: Typical,
     start: np.ndarray | None = None,
 ) -> CodedTile:
-    """Integers of a tile at the design's steps: parameters first, then the residual against what they decode to.
+    """Encode a tile as integers at the design's steps: parameters, then the residual against their decoded values.
 
     start: residual coefficients of an earlier solution at a similar step, to go on from.
     """
@@ -190,14 +190,14 @@ def encode_tile(
 
 
 def model_of(maps: TileMaps, seen: Seen, scene: CodedScene, design: Design) -> np.ndarray:
-    """(C, observations, rows, columns) float32: the model's texels in a block, in the capture's encoding."""
+    """Predict the model's texels (C, observations, rows, columns) float32 in a block, in the capture's encoding."""
     lamps = [scene.lamps[o] for o in seen.observations]
     arguments = (seen.surface, scene.centres[seen.observations], lamps, design.encoding)
     return predict_texels(maps.kd, maps.ks, maps.sigma, *arguments)
 
 
 def decode_residual(integers: np.ndarray, design: Design, extent: Extent) -> np.ndarray:
-    """(C, lights * views, rows, columns) float32 texels of integers of that shape."""
+    """Decode integers to texels (C, lights * views, rows, columns) float32 of that shape."""
     coefficients = (integers * np.float32(design.step)).astype(np.float32).reshape(design.shape(extent))
     samples = samples_of(design.block(extent), coefficients)
     return np.tensordot(design.mix().T.astype(np.float32), samples, 1)

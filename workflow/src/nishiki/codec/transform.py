@@ -49,7 +49,7 @@ class SparseRows:
 
 @lru_cache(maxsize=64)
 def filter_bank(wavelet: str) -> tuple[tuple[float, ...], tuple[float, ...], bool]:
-    """Low-pass and high-pass analysis filters, and whether the family is orthonormal.
+    """Return low-pass and high-pass analysis filters, and whether the family is orthonormal.
 
     Raises UserError where PyWavelets knows no discrete wavelet of that name.
     """
@@ -63,7 +63,7 @@ def filter_bank(wavelet: str) -> tuple[tuple[float, ...], tuple[float, ...], boo
 
 @lru_cache(maxsize=256)
 def level_matrix(wavelet: str, length: int, *, mirrored: bool = False) -> np.ndarray:
-    """(length, length) float64: rows 0 .. length/2 - 1 the low-pass, the rest the high-pass of one level.
+    """Make the matrix (length, length) float64 of one level: rows 0 .. length/2 - 1 low-pass, the rest high-pass.
 
     length: even. Periodic ends: rows as `pywt.dwt(mode="periodization")` orders them. mirrored: the signal goes on by
     reflection about its end samples, which needs symmetric filters of odd length (bior2.2, bior4.4).
@@ -98,7 +98,7 @@ def _symmetric(wavelet: str, taps: tuple[float, ...]) -> np.ndarray:
 
 
 def levels_of(length: int, most: int) -> int:
-    """Levels that `length` allows: as many halvings as are exact, at most `most`."""
+    """Count the levels that `length` allows: as many halvings as are exact, at most `most`."""
     levels = 0
     while levels < most and length % 2 == 0 and length > 1:
         length //= 2
@@ -107,7 +107,7 @@ def levels_of(length: int, most: int) -> int:
 
 
 def analysis_matrix(wavelet: str, length: int, levels: int, *, mirrored: bool = False) -> np.ndarray:
-    """(length, length) float64: all levels in one matrix, coarsest band first (Mallat's order)."""
+    """Make one matrix (length, length) float64 of all levels, coarsest band first (Mallat's order)."""
     total = np.eye(length)
     for _ in range(levels_of(length, levels)):
         size = length
@@ -117,7 +117,7 @@ def analysis_matrix(wavelet: str, length: int, levels: int, *, mirrored: bool = 
 
 
 def cosine_matrix(length: int) -> np.ndarray:
-    """(length, length) float64: the orthonormal discrete cosine transform (DCT-II), lowest frequency first."""
+    """Make the orthonormal discrete cosine transform (DCT-II) (length, length) float64, lowest frequency first."""
     k, m = np.arange(length)[:, None], np.arange(length)[None, :]
     matrix = np.sqrt(2 / length) * np.cos(np.pi * k * (m + 0.5) / length)
     matrix[0] /= np.sqrt(2)
@@ -126,7 +126,7 @@ def cosine_matrix(length: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Axis:
-    """Transform planes along one axis.
+    """The transform of planes along one axis.
 
     per level, finest first, analysis, synthesis and adjoint synthesis by rows; smooth, detail: (length, length >> level
     + 1) float64, the basis vectors of the low and the high band.
@@ -191,7 +191,7 @@ def _axis(wavelet: str, length: int, levels: int, *, orthonormal: bool, mirrored
 
 
 def squared_lengths(plane: Plane, weight: np.ndarray) -> np.ndarray:
-    """(n, rows, columns) float64: for every basis plane s before normalising, the sum of weight * s**2.
+    """Sum weight * s**2 for every basis plane s before normalising: (n, rows, columns) float64.
 
     With the density of pixels as weight this estimates the curvature of the error in each coefficient.
     """
@@ -209,7 +209,7 @@ def squared_lengths(plane: Plane, weight: np.ndarray) -> np.ndarray:
 
 
 def _largest_gain(plane: Plane) -> float:
-    """Power iteration on synthesis and adjoint, with one per cent on top; the start vector is fixed."""
+    """Estimate the largest gain by power iteration on synthesis and adjoint, plus one per cent, from a fixed vector."""
     transform = Block(plane, np.eye(1), np.eye(1))
     vector = np.random.default_rng(0).standard_normal((1, 1, 1, *plane.shape))
     norm = 1.0
@@ -221,7 +221,7 @@ def _largest_gain(plane: Plane) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def apply_rows(index, weight, source, target, rows, columns, filled, needed):
-    """target[i, :columns] = sum over k of weight[i, k] source[index[i, k], :columns]: one level along the first axis.
+    """Set target[i, :columns] to the sum over k of weight[i, k] source[index[i, k], :columns]: one level, first axis.
 
     filled (rows of source,), needed (rows,) bool: sources that are all zero are left out, targets that are not needed
     become zero. Four terms are added at a time, in their order: one read and write of the target for each four.
@@ -263,7 +263,7 @@ def _transpose(source, target, rows, columns):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _mark_filled(values, rows, columns, filled):
-    """Mark the rows that are not all zero; whether there is any."""
+    """Mark the rows that are not all zero; return whether there is any."""
     some = False
     for i in range(rows):
         filled[i] = False
@@ -287,7 +287,7 @@ def _mark_needed(chosen, rows, columns, rows_needed, columns_needed):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def plane_level(planes, chosen, down_index, down_weight, across_index, across_weight, scratch):
-    """One level of all planes (n, rows, columns), in place, on the corner that the level covers.
+    """Transform all planes (n, rows, columns) by one level, in place, on the corner that the level covers.
 
     chosen (n, rows, columns) uint8: an analysis need only be right there; without entries (0, 0, 0) everywhere.
     scratch (2, side, side), side the longer of rows and columns. Planes that are all zero stay so.
@@ -311,7 +311,7 @@ def plane_level(planes, chosen, down_index, down_weight, across_index, across_we
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def apply_axis(matrix, source, target, needed):
-    """target[o, k, :] = sum over m of matrix[k, m] source[o, m, :]; zero where needed (outer, k) is False."""
+    """Set target[o, k, :] to the sum over m of matrix[k, m] source[o, m, :]; zero where needed (outer, k) is False."""
     outer, length, inner = source.shape
     index = np.empty(matrix.shape, np.int32)
     for m in range(length):
@@ -326,7 +326,7 @@ EVERYWHERE = np.empty((0, 0, 0), np.uint8)
 
 
 def _levels(planes: np.ndarray, plane: Plane, kind: str, chosen: np.ndarray = EVERYWHERE) -> None:
-    """All levels in place; kind: analysis and adjoint go from the finest level on, synthesis from the coarsest."""
+    """Transform all levels in place; kind: analysis, adjoint go from the finest level, synthesis from the coarsest."""
     side = max(plane.shape)
     scratch = np.empty((2, side, side), planes.dtype)
     down, across = getattr(plane.down, kind), getattr(plane.across, kind)
@@ -337,7 +337,7 @@ def _levels(planes: np.ndarray, plane: Plane, kind: str, chosen: np.ndarray = EV
 
 
 def along(matrix: np.ndarray, values: np.ndarray, axis: int, needed: np.ndarray | None = None) -> np.ndarray:
-    """`matrix` (k, m) applied along one axis of an array; the result has k entries there.
+    """Apply `matrix` (k, m) along one axis of an array; the result has k entries there.
 
     needed: of the result's shape up to that axis, bool: entries that are wanted; the others become zero.
     """
@@ -353,7 +353,7 @@ def along(matrix: np.ndarray, values: np.ndarray, axis: int, needed: np.ndarray 
 
 @dataclass(frozen=True)
 class Block:
-    """Transform a tile's block (channels, lights, views, rows, columns).
+    """The transform of a tile's block (channels, lights, views, rows, columns).
 
     It holds orthonormal matrices of the light and view axes (rows are basis vectors) and the transform of the planes.
     """
@@ -363,7 +363,7 @@ class Block:
     lights: np.ndarray
 
     def forward(self, values: np.ndarray) -> np.ndarray:
-        """Coefficients of samples (channels, lights, views, rows, columns), float32 or float64."""
+        """Compute coefficients of samples (channels, lights, views, rows, columns), float32 or float64."""
         out = np.array(along(self.lights, along(self.views, values, 2), 1), copy=True)
         planes = out.reshape(-1, *out.shape[-2:])
         _levels(planes, self.plane, "analysis")
@@ -377,7 +377,7 @@ class Block:
         return along(self.views.T, along(self.lights.T, out, 1), 2)
 
     def adjoint(self, values: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
-        """Transpose of `inverse`: the gradient with respect to the coefficients; `forward` where orthonormal.
+        """Apply the transpose of `inverse`: the gradient by the coefficients; `forward` where orthonormal.
 
         chosen: of the coefficients' shape, uint8: the result is right where it is not zero, and finite elsewhere.
         """
@@ -395,7 +395,7 @@ class Block:
         return out
 
     def bound(self) -> float:
-        """Largest singular value of `inverse`, squared: 1 where orthonormal."""
+        """Return the largest singular value of `inverse`, squared: 1 where orthonormal."""
         return self.plane.bound
 
     def _gains(self, dtype) -> np.ndarray:

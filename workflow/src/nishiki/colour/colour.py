@@ -1,4 +1,4 @@
-"""Convert spectra to what an eye and a display see: CIE 1931 XYZ, CIELAB, CIEDE2000, sRGB.
+"""Convert spectra to colours for an eye and a display: CIE 1931 XYZ, CIELAB, CIEDE2000, sRGB.
 
 Colour-matching functions: CIE 1931 2 degree standard observer (CIE 018:2019, table 6). Illuminants D50, D65, FL2, FL7,
 FL11, LED-B1, LED-B3 and LED-B5: CIE 015:2018. Taken once from colour-science 0.4.7, against which the tests compare
@@ -41,7 +41,7 @@ LEAST_CONE = 0.01  # response of a lamp's white, relative to that of the white t
 
 
 def cie_1931_cmfs() -> np.ndarray:
-    """(3, 61) colour-matching functions x, y, z of the CIE 1931 2 degree observer on the working grid."""
+    """Return the colour-matching functions (3, 61) x, y, z of the CIE 1931 2 degree observer on the working grid."""
     return np.array([_tables()[name] for name in "xyz"])
 
 
@@ -50,7 +50,7 @@ ILLUMINANTS = ("A", "D50", "D65", "E", "F2", "F7", "F11", "FL2", "FL7", "FL11", 
 
 
 def illuminant(name: str) -> np.ndarray:
-    """(61,) relative spectral power of a CIE illuminant on the working grid, 100 at 560 nm where tabulated so.
+    """Return the spectral power (61,) of a CIE illuminant on the working grid, relative: 100 at 560 nm if tabulated so.
 
     Known: A (Planck's law with c2 = 1.435e7 nm K at 2848 K, CIE 015:2018 eq. 1), D50, D65 (tables), E (equal energy),
     FL2, FL7, FL11 (also written F2, F7, F11), LED-B1, LED-B3, LED-B5 (blue LEDs with phosphor: warm,
@@ -87,23 +87,23 @@ def xyz_matrix(illuminant: np.ndarray, basis: np.ndarray) -> np.ndarray:
 
 
 def xyz_from_spectra(illuminant: np.ndarray, spectra: np.ndarray) -> np.ndarray:
-    """XYZ (..., 3) of reflectances (..., 61), Y = 1 for the perfect white."""
+    """Compute XYZ (..., 3) of reflectances (..., 61), Y = 1 for the perfect white."""
     return np.asarray(spectra) @ xyz_matrix(illuminant, np.eye(WAVELENGTHS_NM.size)).T
 
 
 def white_xyz(illuminant: np.ndarray) -> np.ndarray:
-    """XYZ (3,) of the perfect white under the illuminant, Y = 1."""
+    """Compute XYZ (3,) of the perfect white under the illuminant, Y = 1."""
     return xyz_from_spectra(illuminant, np.ones(WAVELENGTHS_NM.size))
 
 
 def srgb_matrix() -> np.ndarray:
-    """(3, 3) from XYZ (relative to D65, white Y = 1) to linear sRGB, IEC 61966-2-1 primaries."""
+    """Return the matrix (3, 3) from XYZ (relative to D65, white Y = 1) to linear sRGB, IEC 61966-2-1 primaries."""
     xyz = np.column_stack([BT709_XY, 1.0 - np.sum(BT709_XY, axis=1)]).T
     return np.linalg.inv(xyz * np.linalg.solve(xyz, WHITE))
 
 
 def adaptation_matrix(white_from: np.ndarray, white_to: np.ndarray) -> np.ndarray:
-    """(3, 3) linear Bradford adaptation: maps XYZ seen under `white_from` (3,) to the match under `white_to` (3,).
+    """Return the linear Bradford adaptation (3, 3): XYZ under `white_from` (3,) to the match under `white_to` (3,).
 
     Under a lamp so narrow that a cone response of its white is negative or almost none, nothing is white to an eye and
     Bradford's quotients have no meaning: only the luminance is then brought to that of `white_to`.
@@ -116,7 +116,7 @@ def adaptation_matrix(white_from: np.ndarray, white_to: np.ndarray) -> np.ndarra
 
 
 def xyz_to_srgb_linear(xyz: np.ndarray, *, white: np.ndarray | None = None) -> np.ndarray:
-    """Linear sRGB (..., 3), unclipped, from XYZ (..., 3) with white Y = 1.
+    """Convert XYZ (..., 3) with white Y = 1 to linear sRGB (..., 3), unclipped.
 
     white : XYZ (3,) of the scene's white; if given, Bradford adaptation brings it to RGB (1, 1, 1). None: XYZ is
     relative to D65 already.
@@ -128,13 +128,13 @@ def xyz_to_srgb_linear(xyz: np.ndarray, *, white: np.ndarray | None = None) -> n
 
 
 def srgb_encode(linear: np.ndarray) -> np.ndarray:
-    """Display values in [0, 1] from linear sRGB, IEC 61966-2-1; values outside [0, 1] are clipped, NaN becomes 0."""
+    """Encode linear sRGB as display values in [0, 1], IEC 61966-2-1; clip values outside, NaN becomes 0."""
     values = np.clip(np.nan_to_num(np.asarray(linear), nan=0.0, posinf=1.0, neginf=0.0), 0.0, 1.0)
     return encode(values, "srgb")
 
 
 def xyz_to_lab(xyz: np.ndarray, white: np.ndarray) -> np.ndarray:
-    """CIELAB (..., 3) from XYZ (..., 3) and the white's XYZ (3,), same scale. CIE 015:2018 eq. 8.3-8.10.
+    """Convert XYZ (..., 3) and the white's XYZ (3,), same scale, to CIELAB (..., 3). CIE 015:2018 eq. 8.3-8.10.
 
     Below (6/29)^3 the function is linear, so zero and negative XYZ have finite Lab.
     """
@@ -146,7 +146,7 @@ def xyz_to_lab(xyz: np.ndarray, white: np.ndarray) -> np.ndarray:
 
 
 def delta_e_2000(lab1: np.ndarray, lab2: np.ndarray) -> np.ndarray:
-    """CIEDE2000 colour difference (...) of Lab arrays (..., 3), kL = kC = kH = 1.
+    """Compute the CIEDE2000 colour difference (...) of Lab arrays (..., 3), kL = kC = kH = 1.
 
     Source: Sharma, Wu, Dalal, Color Res. Appl. 30 (2005) 21-30, eq. 2-22; tested on 14 of their pairs.
     """
@@ -198,7 +198,7 @@ SLOPE, SCALE, OFFSET, POWER = 12.92, 1.055, 0.055, 1 / 2.4
 
 
 def encode(linear: np.ndarray, encoding: str) -> np.ndarray:
-    """Linear values to code values, full scale 1, of any shape; float32 stays float32, all else is float64.
+    """Convert linear values to code values, full scale 1, of any shape; float32 stays float32, all else is float64.
 
     srgb: the transfer curve of IEC 61966-2-1, continued below 0 by its straight part and above 1 by its power; linear:
     the values themselves (not a copy). Nothing is clipped; NaN stays NaN. ValueError for another encoding.
@@ -215,7 +215,7 @@ def encode(linear: np.ndarray, encoding: str) -> np.ndarray:
 
 
 def decode(values: np.ndarray, encoding: str) -> np.ndarray:
-    """Code values to linear ones: the inverse of `encode`."""
+    """Convert code values to linear ones: the inverse of `encode`."""
 
     def curve(values: np.ndarray, out: np.ndarray) -> None:
         np.maximum(values, CODED_KNEE, out=out)

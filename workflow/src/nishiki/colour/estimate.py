@@ -93,7 +93,7 @@ class SpectralField:
     counts: dict[str, int] = field(default_factory=dict)  # pixels by flag name
 
     def spectra(self) -> np.ndarray:
-        """(..., 61) float64 reflectances, not clipped."""
+        """Compute reflectances (..., 61) float64, not clipped."""
         return self.coefficients.astype(np.float64) @ self.basis
 
 
@@ -189,7 +189,7 @@ def fit_estimator(
 def estimate_spectra(
     responses: np.ndarray, estimator: SpectralEstimator, *, threads: int | None = None
 ) -> SpectralField:
-    """Spectral reflectance of every pixel from its responses in the camera's channels.
+    """Estimate the spectral reflectance of every pixel from its responses in the camera's channels.
 
     Parameters
     ----------
@@ -323,7 +323,7 @@ SAMPLE = 2000  # pixels
 
 
 def colour_differences(estimated: np.ndarray, true: np.ndarray, light: str) -> np.ndarray:
-    """CIEDE2000 (...) between spectra (..., 61) under a CIE illuminant."""
+    """Compute CIEDE2000 (...) between spectra (..., 61) under a CIE illuminant."""
     lamp = illuminant(light)
     white = white_xyz(lamp)
     return delta_e_2000(*(xyz_to_lab(xyz_from_spectra(lamp, spectra), white) for spectra in (estimated, true)))
@@ -363,6 +363,6 @@ def expected_colour_error(
 
 
 def sample_rows(rows: int, columns: int, count: int = SAMPLE) -> tuple[np.ndarray, np.ndarray]:
-    """Rows and columns of a regular grid of at most about `count` pixels."""
+    """Return rows and columns of a regular grid of at most about `count` pixels."""
     step = max(1, int(np.ceil(np.sqrt(rows * columns / count))))
     return np.arange(step // 2, rows, step), np.arange(step // 2, columns, step)

@@ -37,7 +37,7 @@ def paper_map(weights: np.ndarray, basis: np.ndarray, *, condition_limit: float)
 
 
 def wiener_map(weights: np.ndarray, training: np.ndarray, *, noise: float) -> np.ndarray:
-    """(61, N) Wiener estimator C W^T (W C W^T + noise^2 I)^-1 with the uncentred second moments C of the training set.
+    """Compute Wiener's estimator (61, N) C W^T (W C W^T + noise^2 I)^-1, C the training set's uncentred second moments.
 
     Uncentred, so that a black response returns black. noise : standard deviation of a white-normalised response, >= 0;
     the noise term also keeps the inverse finite where lamp or camera make channels alike. For noise = 0 rounding error
@@ -51,7 +51,7 @@ def wiener_map(weights: np.ndarray, training: np.ndarray, *, noise: float) -> np
 
 
 def condition_number(weights: np.ndarray, training: np.ndarray, count: int | None = None) -> float:
-    """cond(H) for the first K = min(count, N) uncentred principal bases: how well camera and lamp tell them apart."""
+    """Compute cond(H) of the first K = min(count, N) uncentred principal bases: how well the system separates them."""
     size = min(count or weights.shape[0], weights.shape[0], training.shape[0])
     system = weights @ principal_basis(training, size).T
     singular = np.linalg.svd(system, compute_uv=False)
@@ -64,7 +64,7 @@ TABLE_STEP, TABLE_CELLS = 0.25, 64
 
 @dataclass(frozen=True)
 class Problem:
-    """What every method learns from: spectra (M, 61), weights (N, 61), responses (M, N), their space, the noise."""
+    """The data of every method: spectra (M, 61), weights (N, 61), responses (M, N), their space, the noise."""
 
     spectra: np.ndarray
     weights: np.ndarray
@@ -164,7 +164,7 @@ def fit_regression(problem: Problem, bases: int | BasesRule | None, centres: int
 
 
 def output_basis(estimates: np.ndarray, count: int) -> np.ndarray:
-    """(K, 61): the constant 1, then the strongest orthonormal vectors of what the estimates are beside it.
+    """Compute a basis (K, 61): the constant 1, then the strongest orthonormal vectors of the estimates without it.
 
     Principal vectors of the *estimates*, not of the training spectra: no coefficient is spent on detail that the
     estimator cannot produce. K is `count`, or less where the estimates span less.
@@ -180,7 +180,7 @@ def output_basis(estimates: np.ndarray, count: int) -> np.ndarray:
 def correction_table(
     correction: LocalCorrection | None, space: ResponseSpace
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Kernel sums on a grid over the whitened box of three channels: table, origin (3,), step (3,).
+    """Tabulate kernel sums on a grid over the whitened box of three channels: table, origin (3,), step (3,).
 
     The last axis holds the K coefficients, the variance and the nearest distance. For other numbers of channels, or no
     correction, a single node that the kernel code takes for "no table".

@@ -26,7 +26,7 @@ class SpectralFlag(IntEnum):
 
 @njit(cache=True, error_model="numpy")
 def _whitened(response, mean, whiten, z):
-    """z of one response; returns (mean non-negative response, finite, negative)."""
+    """Whiten one response to z; return (mean non-negative response, finite, negative)."""
     channels = response.size
     brightness = 0.0
     negative = False
@@ -47,7 +47,7 @@ def _whitened(response, mean, whiten, z):
 
 @njit(cache=True, error_model="numpy")
 def _taper(z, low, high):
-    """Product of the smooth steps of all axes, and the largest excess over the box."""
+    """Multiply the smooth steps of all axes; return the largest excess over the box, too."""
     product = 1.0
     excess = 0.0
     for j in range(z.size):
@@ -60,7 +60,7 @@ def _taper(z, low, high):
 
 @njit(cache=True, error_model="numpy")
 def _linear_and_anchor(response, linear, anchor, precision, out):
-    """out = linear @ response, plus the share of the white anchor."""
+    """Set out to linear @ response, plus the share of the white anchor."""
     channels = response.size
     square = 0.0
     for i in range(channels):
@@ -92,7 +92,7 @@ def _outside_unit(coefficients, basis, low, high, spectrum):
 
 @njit(cache=True, error_model="numpy")
 def _interpolate(table, z, origin, step, out):
-    """Trilinear interpolation of the last axis of a (n0, n1, n2, C) table at z, clamped to its box."""
+    """Interpolate the last axis of a (n0, n1, n2, C) table trilinearly at z, clamped to its box."""
     i0, f0 = _cell(z[0], origin[0], step[0], table.shape[0])
     i1, f1 = _cell(z[1], origin[1], step[1], table.shape[1])
     i2, f2 = _cell(z[2], origin[2], step[2], table.shape[2])

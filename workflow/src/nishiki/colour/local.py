@@ -1,4 +1,4 @@
-"""Local correction of the Wiener estimator: a kernel regression of what the linear map leaves over.
+"""Correct the Wiener estimator locally: a kernel regression of the residual of the linear map.
 
 Real reflectances fill a curved sheet of spectrum space; a linear map can only return a plane through it. Among training
 spectra whose camera responses resemble the pixel's, the residual of the linear map is much alike, and a smooth function
@@ -30,11 +30,11 @@ class ResponseSpace:
     high: np.ndarray  # (N,) largest
 
     def coordinates(self, responses: np.ndarray) -> np.ndarray:
-        """z (P, N) of responses (P, N); negative responses count as zero."""
+        """Compute z (P, N) of responses (P, N); negative responses count as zero."""
         return (np.sqrt(np.maximum(responses, 0.0)) - self.mean) @ self.whiten.T
 
     def taper(self, z: np.ndarray) -> np.ndarray:
-        """(P,) 1 within 1 standard deviation of the training box, 0 beyond 3, smooth between."""
+        """Compute the taper (P,): 1 within 1 standard deviation of the training box, 0 beyond 3, smooth between."""
         outside = np.maximum(np.maximum(self.low - z, z - self.high), 0.0)
         t = np.clip((TAPER_END - outside) / (TAPER_END - TAPER_START), 0.0, 1.0)
         return np.prod(t * t * (3.0 - 2.0 * t), axis=-1)
@@ -54,7 +54,7 @@ class LocalCorrection:
 
 
 def response_space(responses: np.ndarray, *, noise: float) -> ResponseSpace:
-    """Whitened space of training responses (M, N). Directions whose spread is below the noise are not blown up."""
+    """Whiten the space of training responses (M, N). Directions whose spread is below the noise are not blown up."""
     roots = np.sqrt(np.maximum(responses, 0.0))
     mean = roots.mean(axis=0)
     spread = roots - mean
@@ -67,7 +67,7 @@ def response_space(responses: np.ndarray, *, noise: float) -> ResponseSpace:
 
 
 def compact_kernel(ratio: np.ndarray) -> np.ndarray:
-    """Wendland's C2 function (1 - r)^4 (4 r + 1) for r < 1, else 0: positive definite up to three dimensions.
+    """Evaluate Wendland's C2 function (1 - r)^4 (4 r + 1) for r < 1, else 0: positive definite up to three dimensions.
 
     Source: Wendland, Adv. Comput. Math. 4 (1995) 389-396. In more dimensions the ridge keeps the system definite.
     """
@@ -76,7 +76,7 @@ def compact_kernel(ratio: np.ndarray) -> np.ndarray:
 
 
 def dark_weight(responses: np.ndarray) -> np.ndarray:
-    """(P,) b / (b + 0.05) of the mean non-negative response b."""
+    """Compute b / (b + 0.05) (P,) of the mean non-negative response b."""
     brightness = np.maximum(responses, 0.0).mean(axis=-1)
     return brightness / (brightness + DARK)
 
@@ -122,7 +122,7 @@ def fit_correction(
 
 
 def _ridge_regression(residuals, design, smooth, ridges):
-    """Solution (centres, 61) and squared left-out errors (M, 61) of the largest ridge near the least of them.
+    """Compute solution (centres, 61) and squared left-out errors (M, 61) of the largest ridge near the least of them.
 
     Minimises |residuals - design x|^2 + ridge x' smooth x. One pair of eigendecompositions makes both forms diagonal,
     so that every further ridge costs next to nothing. Leaving sample m out changes its residual by 1 / (1 - h_m), with
@@ -149,7 +149,7 @@ def _ridge_regression(residuals, design, smooth, ridges):
 def evaluate_correction(
     correction: LocalCorrection, space: ResponseSpace, responses: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Plain form of the correction: values (P, B), variance (P,), distance to the nearest centre (P,), in float64."""
+    """Evaluate the correction: values (P, B), variance (P,), distance to the nearest centre (P,); float64."""
     responses = np.asarray(responses, dtype=float)
     z = space.coordinates(responses)
     apart = distances(z, correction.centres)
@@ -162,7 +162,7 @@ def evaluate_correction(
 
 
 def distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Euclidean distances (P, M) between rows of a (P, N) and b (M, N), by differences (no cancellation)."""
+    """Compute Euclidean distances (P, M) between rows of a (P, N) and b (M, N), by differences (no cancellation)."""
     total = np.zeros((len(a), len(b)))
     for axis in range(a.shape[1]):
         total += (a[:, axis, None] - b[None, :, axis]) ** 2
@@ -170,7 +170,7 @@ def distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def place_centres(z: np.ndarray, count: int) -> np.ndarray:
-    """(count, N) k-means centres of z (M, N), started from farthest points; deterministic."""
+    """Place k-means centres (count, N) of z (M, N), started from farthest points; deterministic."""
     if count == len(z):
         return z.copy()
     first = int(np.argmin(np.sum(z**2, axis=1)))

@@ -95,7 +95,7 @@ def principal_basis(reflectances: np.ndarray, count: int) -> np.ndarray:
 
 
 def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray) -> np.ndarray:
-    """Linear functional of each white-normalised channel: response = weights @ S, and weights @ 1 = 1.
+    """Compute the linear functional of each white-normalised channel: response = weights @ S, and weights @ 1 = 1.
 
     illuminant : (61,) relative power, >= 0. sensitivities : (N, 61) any scale a channel. Returns (N, 61).
     White normalisation divides each channel by its response to the perfect white, so lamp power, exposure and gain
@@ -139,13 +139,13 @@ def under_one_lamp(illuminant: np.ndarray | None = None, sensitivities: np.ndarr
 
 
 def normalised(curves: np.ndarray) -> np.ndarray:
-    """Curves (..., 61) divided by their largest absolute value; a curve of zeros stays as it is."""
+    """Divide curves (..., 61) by their largest absolute value; a curve of zeros stays as it is."""
     top = np.abs(curves).max(axis=-1, keepdims=True)
     return curves / np.where(top > 0, top, 1.0)
 
 
 def checked_spectra(values: np.ndarray, name: str) -> np.ndarray:
-    """(M, 61) float64 from (61,) or (M, 61); UserError if the shape differs or a value is not finite."""
+    """Check spectra (61,) or (M, 61), as (M, 61) float64; UserError if the shape differs or a value is not finite."""
     spectra = np.atleast_2d(np.asarray(values, dtype=float))
     if spectra.ndim != 2 or spectra.shape[1] != BANDS or spectra.shape[0] == 0:
         raise UserError(

@@ -51,11 +51,11 @@ class Pigment:
 
 FILE = Path(__file__).with_name("pigments.json")
 PIGMENTS = tuple(Pigment(*row) for kind in json.loads(FILE.read_text(encoding="utf-8")).values() for row in kind)
-"""By kind; of each the fields of `Pigment` in their order."""
+"""Pigments by kind; the rows of the file are the fields of `Pigment` in their order."""
 
 
 def draw_pigments(draw, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Absorption and scattering (count, 61), one pigment a row, by `draw` (`nishiki.colour.training.Draw`)."""
+    """Draw absorption and scattering (count, 61), one pigment a row, by `draw` (`nishiki.colour.training.Draw`)."""
     share = np.cumsum([pigment.share for pigment in PIGMENTS])
     picked = np.searchsorted(share[:-1] / share[-1], draw.uniform(0.0, 1.0, count), side="right")
     edges, bands = _padded([p.edges for p in PIGMENTS], 4)[picked], _padded([p.bands for p in PIGMENTS], 3)[picked]
@@ -76,7 +76,7 @@ def draw_pigments(draw, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def edge(place: np.ndarray, decay: np.ndarray, strength: np.ndarray, scattering: np.ndarray) -> np.ndarray:
-    """K (..., 61) of an absorption edge: constant below, exponential beyond (Urbach, Phys. Rev. 92, 1953, 1324).
+    """Model K (..., 61) of an absorption edge: constant below, exponential beyond (Urbach, Phys. Rev. 92, 1953, 1324).
 
     place, decay : nm; K/S is `EDGE_RATIO` at `place`. strength : K below the edge, scattering : S; all (..., 1). Of a
     pigment whose strength is below EDGE_RATIO of its scattering the edge lies beyond `place` by up to 4.6 decays.
@@ -86,7 +86,7 @@ def edge(place: np.ndarray, decay: np.ndarray, strength: np.ndarray, scattering:
 
 
 def _padded(rows: list[tuple], columns: int) -> np.ndarray:
-    """(pigments, most features, columns) with features of no height at the end of shorter rows."""
+    """Pad rows to (pigments, most features, columns) with features of no height at the end of shorter rows."""
     table = np.ones((len(rows), max(len(row) for row in rows), columns))
     table[:, :, -1] = 0.0
     for row, features in zip(table, rows, strict=True):
@@ -107,7 +107,7 @@ THROUGH_SURFACE = 0.6  # share with the inner reflections of a smooth surface
 
 
 def synthetic_reflectances(count: int = 2000, *, seed: int = 20240) -> np.ndarray:
-    """Reflectances of synthetic paints.
+    """Generate reflectances of synthetic paints.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def synthetic_reflectances(count: int = 2000, *, seed: int = 20240) -> np.ndarra
 
 
 def through_surface(body: np.ndarray, *, external: float, internal: float | np.ndarray) -> np.ndarray:
-    """Diffuse reflectance of paint seen through its surface, without the gloss.
+    """Compute the diffuse reflectance of paint seen through its surface, without the gloss.
 
     `R = (1 - external) (1 - internal) body / (1 - internal body)`
 
@@ -178,7 +178,7 @@ def through_surface(body: np.ndarray, *, external: float, internal: float | np.n
 def reflectance_of_layer(
     absorption: np.ndarray, scattering: np.ndarray, depth: np.ndarray | float = np.inf, ground: np.ndarray | float = 0.0
 ) -> np.ndarray:
-    """Reflectance (..., 61) of a layer of a depth over a ground (Kubelka 1948, eq. 24); an opaque layer by default.
+    """Compute the reflectance (..., 61) of a layer of a depth over a ground (Kubelka 1948, eq. 24); opaque by default.
 
     absorption, scattering : (..., 61) per unit of depth, both > 0; depth : (..., 1); ground : (..., 61), reflectance.
     """
@@ -189,7 +189,7 @@ def reflectance_of_layer(
 
 
 def measured_reflectances(wavelengths_nm: np.ndarray, columns: np.ndarray, *, name: str) -> np.ndarray:
-    """(M, 61) training set from a user's table: wavelengths (W,) in nm, reflectances (W, M), one column a sample.
+    """Make a training set (M, 61) of a user's table: wavelengths (W,) in nm, reflectances (W, M), one column a sample.
 
     Raises UserError where the range does not cover 400-700 nm, or values leave [-0.02, 1.2]: percent instead of
     fractions is the usual mistake; fluorescence is not reflectance.
@@ -217,12 +217,12 @@ class Draw:
         self._stream = np.random.Generator(np.random.PCG64(seed))
 
     def uniform(self, low, high, count: int, *shape: int) -> np.ndarray:
-        """(count, *shape) between low and high."""
+        """Draw (count, *shape) numbers between low and high."""
         order = np.argsort(self._stream.random((count, *shape)), axis=0)
         return low + (high - low) * (order + self._stream.random((count, *shape))) / count
 
     def log_uniform(self, low: float, high: float, *shape: int) -> np.ndarray:
-        """Numbers whose logarithm is uniform."""
+        """Draw numbers whose logarithm is uniform."""
         return np.exp(self.uniform(np.log(low), np.log(high), *shape))
 
     def normal(self, *shape: int) -> np.ndarray:
@@ -231,7 +231,7 @@ class Draw:
         return radius * np.cos(2.0 * np.pi * self.uniform(0.0, 1.0, *shape))
 
     def log_normal(self, spread: float, *shape: int) -> np.ndarray:
-        """Numbers with the median 1 whose logarithm has this standard deviation."""
+        """Draw numbers with the median 1 whose logarithm has this standard deviation."""
         return np.exp(spread * self.normal(*shape))
 
     def chance(self, share: float, *shape: int) -> np.ndarray:
@@ -240,7 +240,7 @@ class Draw:
 
 
 def _mixtures(draw: Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Absorption and scattering (count, 61) of pure pigments, tints and mixtures."""
+    """Draw absorption and scattering (count, 61) of pure pigments, tints and mixtures."""
     kind = draw.uniform(0.0, 1.0, count, 1)
     mixed, pure = kind > PURE + TINTS, kind < PURE
     second = mixed * draw.log_uniform(*MINOR_AMOUNT, count, 1)
@@ -256,7 +256,7 @@ def _mixtures(draw: Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _whites(draw: Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Absorption and scattering (count, 61) of white pigments: the band edge of rutile is at 3.05 eV (406 nm)."""
+    """Draw absorption and scattering (count, 61) of white pigments: the band edge of rutile is at 3.05 eV (406 nm)."""
     rutile = draw.chance(RUTILE, count, 1)
     place = np.where(rutile, draw.uniform(392.0, 399.0, count, 1), draw.uniform(370.0, 385.0, count, 1))
     decay = draw.uniform(4.5, 6.5, count, 1)
@@ -266,6 +266,6 @@ def _whites(draw: Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _yellow(draw: Draw, count: int, strength: tuple[float, float]) -> np.ndarray:
-    """Absorption (count, 61) that falls exponentially from 400 nm on, over 25 to 70 nm, as that of dried oil does."""
+    """Draw absorption (count, 61) that falls exponentially from 400 nm on, over 25 to 70 nm, like that of dried oil."""
     decay = draw.uniform(25.0, 70.0, count, 1)
     return draw.log_uniform(*strength, count, 1) * np.exp(-(WAVELENGTHS_NM - 400.0) / decay)

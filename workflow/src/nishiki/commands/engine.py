@@ -52,7 +52,7 @@ SAMPLED_SCENES = 200
 
 
 def names_targets(rest: Sequence[str], profile: dict) -> bool:
-    """Whether options for Snakemake may ask for more, or for less, than what is not finished.
+    """Return whether options for Snakemake may ask for more, or for less, than what is not finished.
 
     rest: of the command line; profile: keys and values of a profile. Then Snakemake decides on every scene, and so it
     does with whatever is not known here: a target, an option with a word as its value.

@@ -232,7 +232,7 @@ def _add_scene(configfile: str, name: str, capture: Path) -> str:
 
 
 def _holds_photographs(capture: Path, source: Path) -> bool:
-    """Whether the photographs of a sealed capture are those of a folder, by their digests."""
+    """Return whether the photographs of a sealed capture are those of a folder, by their digests."""
     from nishiki.artifacts.provenance import file_digest
 
     manifests = sorted(capture.rglob("manifest-sha256.txt"))

@@ -59,7 +59,7 @@ class Record:
 
     @property
     def unclean(self) -> bool:
-        """Whether files may be torn: it was killed, or ended while clearing up after one that was."""
+        """Return whether files may be torn: it was killed, or ended while clearing up after one that was."""
         return self.state != "ended" or bool(self.facts.get("unclean"))
 
     def __str__(self) -> str:
@@ -68,7 +68,7 @@ class Record:
         return f"process {pid} on {facts['host']}, user {facts['user']}, since {facts['started']}"
 
     def meets(self, scenes: set[str]) -> bool:
-        """Whether it makes any of these scenes; one whose record cannot be read may make all."""
+        """Return whether it makes any of these scenes; one whose record cannot be read may make all."""
         return not self.facts or bool(self.scenes & scenes)
 
     def unknown(self) -> str:

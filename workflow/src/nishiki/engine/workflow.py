@@ -125,7 +125,7 @@ class Scheduling:
         return f"level{self._level(scene, stage, key) + (long and not part)}"
 
     def _is_long(self, scene: str, stage: str) -> bool:
-        """Whether the stage, or a part of it where it is divided, is a job of its own."""
+        """Return whether the stage, or a part of it where it is divided, is a job of its own."""
         return self.seconds(scene, stage, 1 / self.parts(scene, stage)) > SHORT_SECONDS
 
     @cache  # noqa: B019  one Workflow a process
@@ -253,7 +253,7 @@ class Workflow(Scheduling):
                 }
 
     def can_be_planned(self, scene: str) -> bool:
-        """Whether a lazy plan can be made; asked only where scenes that cannot are to be left out."""
+        """Return whether a lazy plan can be made; asked only where scenes that cannot are to be left out."""
         if LEAVE_OUT not in os.environ:
             return True
         try:

@@ -1,4 +1,4 @@
-"""From camera channels to XYZ and Lab: one linear map for prediction and photograph alike, so that both err alike."""
+"""Convert camera channels to XYZ and Lab: one linear map for prediction and photograph, so that both err alike."""
 
 import math
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from nishiki.formats.stored import load_arrays
 from nishiki.photometric.flags import NO_ESTIMATE
 
 SMALLEST = 1e-2
-"""Of the channels' singular values, relative to the largest: differences along smaller ones are noise."""
+"""Smallest used singular value of the channels, relative to the largest: differences along smaller ones are noise."""
 
 
 @dataclass(frozen=True)
 class CameraColour:
-    """XYZ = channels @ matrix.T, Lab relative to `white`."""
+    """Linear map of channels: XYZ = channels @ matrix.T, Lab relative to `white`."""
 
     matrix: np.ndarray  # (3, channels)
     white: np.ndarray  # (3,) XYZ of a perfect white that faces the lamp, Y = 1
@@ -29,16 +29,16 @@ class CameraColour:
     rmse: float | None  # root mean square error of XYZ over the training spectra, or None where nothing was fitted
 
     def xyz(self, channels: np.ndarray) -> np.ndarray:
-        """Return XYZ (..., 3) float64 of channels (..., C) that are relative to white."""
+        """Compute XYZ (..., 3) float64 of channels (..., C) that are relative to white."""
         return np.asarray(channels, np.float64) @ self.matrix.T
 
     def lab(self, channels: np.ndarray) -> np.ndarray:
-        """Return CIELAB (..., 3) of channels (..., C)."""
+        """Compute CIELAB (..., 3) of channels (..., C)."""
         return xyz_to_lab(self.xyz(channels), self.white)
 
 
 def fitted_colour(training: np.ndarray, illuminant: np.ndarray, sensitivities: np.ndarray) -> CameraColour:
-    """Return least squares over training reflectances (M, 61), with the perfect white kept exact.
+    """Fit by least squares over training reflectances (M, 61), with the perfect white kept exact.
 
     illuminant : (61,) of the capture; sensitivities : (C, 61). The constraint (channels of white = 1 give the white of
     the lamp) is met by fitting the differences from white only, through an elimination: matrix = white/C + deviations
@@ -58,7 +58,7 @@ def fitted_colour(training: np.ndarray, illuminant: np.ndarray, sensitivities: n
 
 
 def read_camera_colour(curves: Path, channels: int, to_srgb: list[list[float]] | None = None) -> CameraColour:
-    """From the camera's channels to XYZ: fitted where `curves.npz` has those of camera and lamp, else assumed."""
+    """Read the map from camera channels to XYZ: fitted where `curves.npz` has camera and lamp, else assumed."""
     stored = load_arrays(curves) if curves.is_file() else {}
     if len(stored.get("sensitivities", ())) == channels and "illuminant" in stored:
         return fitted_colour(synthetic_reflectances(), stored["illuminant"], stored["sensitivities"])
@@ -66,20 +66,20 @@ def read_camera_colour(curves: Path, channels: int, to_srgb: list[list[float]] |
 
 
 def displayed_colours(channels: np.ndarray, to_srgb: list[list[float]] | None) -> np.ndarray:
-    """Return linear sRGB (..., 3) of channels (..., C) without sensitivities; see `assumed_colour`."""
+    """Convert channels (..., C) without sensitivities to linear sRGB (..., 3); see `assumed_colour`."""
     if channels.shape[-1] != 3:
         return np.repeat(channels.mean(axis=-1, keepdims=True), 3, axis=-1)
     return channels if to_srgb is None else (channels @ np.array(to_srgb).T).astype(channels.dtype)
 
 
 LIGHT_PERCENTILE = 95
-"""Percentile of a channel's reflectances at which the object's light parts are taken as grey."""
+"""Percentile of a channel's reflectances at which the object's light parts are assumed grey."""
 LARGEST_FACTOR = 3.0  # of a channel
 MOST_SAMPLES = 16_000_000  # pixels that are looked at, evenly spread
 
 
 def display_map(maps: Maps) -> list[list[float]] | None:
-    """Return the matrix (3, 3) from a painting's reflectance to linear sRGB for pictures; None: it is sRGB as it is.
+    """Return the matrix (3, 3) from a painting's reflectance to linear sRGB for pictures; None: it is sRGB already.
 
     Without a white board, linear photographs have the colours of lamp and sensor, which no camera has balanced. The
     light parts of the object are shown as grey then, with the luminance of a white kept.
@@ -102,7 +102,7 @@ def display_map(maps: Maps) -> list[list[float]] | None:
 
 
 def assumed_colour(channels: int, to_srgb: list[list[float]] | None = None) -> CameraColour:
-    """Return the colour of a camera without sensitivities.
+    """Assume the colour of a camera without sensitivities.
 
     Three channels are read in the primaries that the photographs state (`to_srgb`, (3, 3) to linear sRGB), else as
     linear sRGB, any other number as grey (their mean).

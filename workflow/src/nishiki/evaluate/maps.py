@@ -1,4 +1,4 @@
-"""Errors of maps against truth: normals, height and reflectance, and summaries of sets of errors."""
+"""Compute errors of maps against truth: normals, height and reflectance, and summaries of sets of errors."""
 
 import itertools
 from dataclasses import asdict, dataclass
@@ -24,7 +24,7 @@ class Summary:
 
 
 def summarise(values: np.ndarray, *, where: np.ndarray | None = None) -> Summary:
-    """Return summary of an array of errors, any shape; `where` (same shape, bool) selects the pixels that count.
+    """Summarise an array of errors, any shape; `where` (same shape, bool) selects the pixels that count.
 
     Percentiles interpolate linearly between ranks. The sum is taken in float64.
     """
@@ -41,7 +41,7 @@ def summarise(values: np.ndarray, *, where: np.ndarray | None = None) -> Summary
 
 
 class Pool:
-    """Summary of many maps of errors together, without holding them: memory does not grow with their number.
+    """Summary of many maps of errors, without storing them: memory does not grow with their number.
 
     Median and percentile come from bins of 0.01 (errors above 200 count as 200 there) and are exact to half a bin;
     mean, count and largest value are exact.
@@ -54,7 +54,7 @@ class Pool:
         self.count, self.total, self.worst = 0, 0.0, None
 
     def add(self, values: np.ndarray) -> None:
-        """Add errors of any shape, >= 0; those that are not finite are left out."""
+        """Add errors of any shape, >= 0; infinite and NaN ones are omitted."""
         for part in np.array_split(np.asarray(values).ravel(), max(1, np.size(values) >> 20)):
             part = part[np.isfinite(part)]
             if part.size:
@@ -76,7 +76,7 @@ class Pool:
 
 
 SLOPE_EDGES_DEG = (0.0, 10.0, 20.0, 30.0, 50.0, 90.0)
-"""Classes of the angle between true normal and z."""
+"""Edges of the classes of the angle between true normal and z."""
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ class NormalErrors:
 
 
 def angular_error_deg(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """Return angle between directions (..., 3), degrees, float32; NaN where either is zero or not finite.
+    """Compute the angle between directions (..., 3), degrees, float32; NaN where either is zero or not finite.
 
     2 atan2(|a - b|, |a + b|) of the unit vectors (Kahan, "How futile are mindless assessments of roundoff", 2006):
     exact to rounding for every angle, where acos(a . b) loses half of the digits below 1e-4 rad.
@@ -119,7 +119,7 @@ def angular_error_deg(estimate: np.ndarray, truth: np.ndarray) -> np.ndarray:
 def normal_errors(
     estimate: np.ndarray, truth: np.ndarray, *, flags: np.ndarray, mask: np.ndarray | None = None
 ) -> NormalErrors:
-    """Return errors of a field of normals.
+    """Compute errors of a field of normals.
 
     estimate, truth : (rows, columns, 3), right-handed, y up, z to the camera; a truth of zero or NaN means: not known.
     flags : (rows, columns) uint8 of the normals stage. mask : (rows, columns) bool, pixels of the object. Raises
@@ -189,7 +189,7 @@ def height_error(height: np.ndarray, truth: np.ndarray, *, pixels: np.ndarray, p
 
 
 def _without_plane(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return residual of the least-squares plane, its coefficients, and its slope per pixel."""
+    """Fit a plane by least squares; return the residual, its coefficients, and its slope per pixel."""
     x, y = columns - columns.mean(), rows - rows.mean()
     centred = values - values.mean()
     gram = np.array([[x @ x, x @ y], [x @ y, y @ y]])

@@ -1,4 +1,4 @@
-"""The counterparts of rendered pictures: photographs, silhouettes, and the truth of a simulated capture."""
+"""Read the counterparts of rendered pictures: photographs, silhouettes, and the truth of a simulated capture."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,7 +12,7 @@ from nishiki.observations.views import Views
 
 
 class Pictures:
-    """What was photographed, view by view, in linear light: all light, and where polarisers separated it its parts."""
+    """Photographs by view in linear light: all light and, with polarisation separation, its parts."""
 
     def __init__(self, inputs: Mapping[str, Artifact]):
         self.views, self.separated = Views(inputs["ingest"].folder), None
@@ -40,7 +40,7 @@ class Pictures:
 
 
 class Photographs(Pictures):
-    """Read the counterparts of rendered pictures from ingest, mesh and, with polariser states, polarise."""
+    """Counterparts of rendered pictures from ingest, mesh and, with polariser states, polarise."""
 
     def __init__(self, inputs: Mapping[str, Artifact]):
         super().__init__(inputs)
@@ -53,12 +53,12 @@ class Photographs(Pictures):
         self.outlines = open_array(path) if path.is_dir() else None
 
     def read(self, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation."""
+        """Read linear (rows, columns, channels) float32 and validity (rows, columns): light of any polarisation."""
         parts, valid = self.parts(view, light)
         return parts["total"], valid
 
     def silhouette(self, view: int) -> np.ndarray | None:
-        """Return (rows, columns) bool, or None where it is not known."""
+        """Return (rows, columns) bool, or None where it is unknown."""
         if self.outlines is not None:
             outline = self.outlines[view] != 0
             return outline if outline.any() else None
@@ -66,7 +66,7 @@ class Photographs(Pictures):
 
 
 class ObjectTruth:
-    """truth.zarr of a simulated turntable capture."""
+    """Truth of a simulated turntable capture, from truth.zarr."""
 
     def __init__(self, folder: Path, photographs: Photographs):
         self.group = open_group(folder / "truth.zarr")
@@ -74,7 +74,7 @@ class ObjectTruth:
         self.names = list(self.group.attrs["views"])
 
     def read(self, name: str) -> np.ndarray:
-        """Return linear (rows, columns, channels) float32 without noise, in the unit of the photographs."""
+        """Read linear (rows, columns, channels) float32 without noise, in the unit of the photographs."""
         total = self.group["total"][self.names.index(name)]
         if not self.normalised:
             return total * self.group["sensitivity"][...]
@@ -82,5 +82,5 @@ class ObjectTruth:
         return (total / board * np.float32(self.group.attrs["board_reflectance"])).astype(np.float32)
 
     def silhouette(self, name: str) -> np.ndarray:
-        """Return (rows, columns) bool: pixels at least half filled by the object."""
+        """Read (rows, columns) bool: pixels at least half filled by the object."""
         return self.group["coverage"][self.names.index(name)] >= 0.5

@@ -14,11 +14,11 @@ from nishiki.threads import over_items
 OUTSIDE, DIFFUSE, HIGHLIGHT, SHADOW = 0, 1, 2, 3
 NAMES = {DIFFUSE: "diffuse", HIGHLIGHT: "highlight", SHADOW: "shadow"}
 HIGHLIGHT_SHARE = 0.1
-"""A pixel counts as highlight where the specular part exceeds this share of all the light that it returns."""
+"""Share of the specular part in all reflected light from which a pixel counts as highlight."""
 
 
 def classify(diffuse: np.ndarray, specular: np.ndarray, lit: np.ndarray, *, inside: np.ndarray) -> np.ndarray:
-    """Return class of each pixel, uint8.
+    """Classify each pixel, uint8.
 
     diffuse, specular : (rows, columns) parts of the light that the pixel returns, same unit; lit : (rows, columns)
     share of the lamp that it sees, 0 to 1, in which n.l <= 0 counts as 0; inside : bool. Shadow: less than half lit.
@@ -38,7 +38,7 @@ def classify(diffuse: np.ndarray, specular: np.ndarray, lit: np.ndarray, *, insi
 
 @dataclass(frozen=True)
 class Level:
-    """A level and the largest mean (and 90th percentile, where the scheme has one) that it allows.
+    """A level and its largest mean (and 90th percentile, where the scheme has one).
 
     The schemes of museums and libraries are defined for the patches of a colour target photographed with the object,
     read from the finished file. Here the same thresholds are held against differences of pixels between prediction and
@@ -64,7 +64,7 @@ ISO_19264 = (Level("A", 4.0, None), Level("B", 5.0, None))
 
 
 def level_of(mean: float | None, p90: float | None, levels: tuple[Level, ...]) -> str:
-    """Name of the best level whose limits hold, or `none`. FADGI asks for below its limits, ISO for at most them."""
+    """Return the best level whose limits hold, or `none`. FADGI requires values below its limits, ISO at most them."""
     if mean is None:
         return "not measured"
     strict = levels is FADGI
@@ -80,7 +80,7 @@ LARGEST_LEVEL_ERROR = 0.1  # relative, of the light of a part under any lamp, be
 
 
 def stated_levels(parts: list[dict]) -> dict[str, str]:
-    """Return the levels of the part that is predicted worst, `none` where the light of any part is off by a tenth.
+    """Return the levels of the worst predicted part, `none` where the light of any part is wrong by a tenth.
 
     parts : `de00` with the mean and 90th percentile of each, and `lights` with their `level_error`.
     """
@@ -103,7 +103,7 @@ def error_figures(sums: np.ndarray) -> dict[str, float | None]:
 
 @dataclass
 class LightComparison:
-    """Compares one light band by band; `score` when all bands are through."""
+    """Comparison of one light band by band; call `score` after the last band."""
 
     colour: CameraColour  # map to Lab, the same for both images
     de00_map: np.ndarray  # (rows, columns) float32, NaN where not compared
@@ -162,7 +162,7 @@ class LightComparison:
 def truth_difference(
     xyz: np.ndarray, true_xyz: np.ndarray, white: np.ndarray, *, classes: np.ndarray
 ) -> tuple[Summary, dict[str, Summary]]:
-    """CIEDE2000 between predicted and true XYZ (rows, columns, 3), of all compared pixels and by class.
+    """Compute CIEDE2000 between predicted and true XYZ (rows, columns, 3), of all compared pixels and by class.
 
     white : (3,) XYZ of the perfect white that faces the lamp; classes : (rows, columns), 0 is left out.
     """
@@ -175,7 +175,7 @@ def truth_difference(
 def difference_of(
     first: np.ndarray, second: np.ndarray, matrix: np.ndarray, white: np.ndarray, classes: np.ndarray, de00: np.ndarray
 ) -> np.ndarray:
-    """CIEDE2000 of two pictures (rows, columns, C) into de00 where classes is not 0; sums of errors (classes, 4).
+    """Compute CIEDE2000 of two pictures (rows, columns, C) into de00 where classes is not 0; sum errors (classes, 4).
 
     matrix : (3, C) from channels to XYZ; white : (3,). The sums are of samples, squared linear differences, squared
     coded differences, and differences. Rows are summed one by one and then in order, so that the result is the same for
@@ -206,7 +206,7 @@ COLUMNS = 720
 
 
 class PreviewPair:
-    """Collects both pictures band by band; each pixel of a preview is the mean of a square block in linear light."""
+    """Builder of two previews, band by band; each pixel is the mean of a square block in linear light."""
 
     def __init__(self, shape: tuple[int, int], colour: CameraColour, *, columns: int = COLUMNS):
         self.block = -(-shape[1] // columns)
@@ -216,7 +216,7 @@ class PreviewPair:
         self.counts = np.zeros(self.size)
 
     def add(self, rows: slice, predicted: np.ndarray, observed: np.ndarray, *, inside: np.ndarray) -> None:
-        """predicted, observed : (rows, columns, channels) relative to white; pixels outside the object are left out.
+        """Add predicted, observed : (rows, columns, channels) relative to white; pixels outside the object are omitted.
 
         Values that are not finite count as 0.
         """
@@ -231,7 +231,7 @@ class PreviewPair:
                 sums[..., channel] += np.bincount(places, values, self.counts.size).reshape(self.size)
 
     def arrays(self) -> dict[str, Any]:
-        """predicted, observed: (rows, columns, 3) float16 linear sRGB, the lamp's white at 1, 1, 1; inside: bool."""
+        """Return predicted, observed: (rows, columns, 3) float16 linear sRGB, lamp's white at 1, 1, 1; inside: bool."""
         with np.errstate(invalid="ignore", divide="ignore"):
             means = np.where(self.counts[..., None] > 0, self.sums / self.counts[..., None], 0.0)
         rgb = xyz_to_srgb_linear(self.colour.xyz(means), white=self.colour.white)

@@ -1,4 +1,4 @@
-"""The files that every evaluation leaves: all figures, a table of them, and the few for a list."""
+"""Write the files of every evaluation: all figures, a table of them, and the few for a list."""
 
 import csv
 import json
@@ -12,7 +12,7 @@ from nishiki.errors import UserError
 
 
 def write_tables(context: Context, evaluation: dict, columns: Sequence[str], rows: Iterable[dict]) -> None:
-    """Write evaluation.json, which holds everything, and evaluation.csv, a table of these rows."""
+    """Write evaluation.json, with everything, and evaluation.csv, a table of these rows."""
     text = json.dumps(evaluation, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
     context.output.path("evaluation.json").write_text(text, encoding="utf-8")
     with context.output.path("evaluation.csv").open("w", newline="", encoding="utf-8") as file:
@@ -22,7 +22,7 @@ def write_tables(context: Context, evaluation: dict, columns: Sequence[str], row
 
 
 def planned_truth(context: Context) -> Path | None:
-    """Find the truth of a capture, None where none is given; UserError where it is not the one that was planned."""
+    """Find the truth of a capture, None where none is given; UserError where it differs from the planned one."""
     if context.truth is None:
         return None
     path, planned = Path(context.truth), context.settings.truth_sha256
@@ -39,7 +39,7 @@ COLUMNS = ("subject", "case", "pixels_of", "figure", "value", "unit", "pixels")
 
 
 def rows_of(evaluation: dict[str, Any]) -> list[dict[str, Any]]:
-    """Return rows with the keys `COLUMNS`; figures that could not be measured have an empty value."""
+    """Return rows with the keys `COLUMNS`; figures without a measurement have an empty value."""
     rows: list[dict[str, Any]] = []
     if normals := evaluation.get("normals"):
         for name in ("inside", "estimated", "unflagged", "flagged"):
@@ -86,7 +86,7 @@ def _row(*values: Any) -> dict[str, Any]:
 
 
 def headlines(evaluation: dict[str, Any]) -> dict[str, Any]:
-    """Flat figures from a whole evaluation: what the artifact's manifest and the report's first lines show."""
+    """Select flat figures from a whole evaluation, for the artifact's manifest and the report's first lines."""
     figures: dict[str, Any] = {"lights": [light["name"] for light in evaluation["lights"]]}
     overall = evaluation["overall"]
     if evaluation["lights"]:

@@ -26,18 +26,18 @@ from nishiki.threads import in_threads, strips
 
 
 class EnviWriter:
-    """Writes `NAME.img` row by row, and `NAME.hdr` beside it.
+    """Writer of `NAME.img` row by row, and of `NAME.hdr` beside it.
 
     Parameters
     ----------
     path : Path
-        Of the samples.
+        File with the samples.
     shape : (int, int)
         Rows and columns.
     wavelengths_nm : sequence of float
-        Of the bands.
+        Wavelengths of the bands.
     description : str
-        What the values mean.
+        Meaning of the values.
     pitch_mm : float or None
         Distance of two pixels.
     """
@@ -77,7 +77,7 @@ class EnviWriter:
 def envi_header(
     shape: tuple[int, int, int], wavelengths_nm: Sequence[float] | np.ndarray, description: str, pitch_mm: float | None
 ) -> str:
-    """Compose the text of a header."""
+    """Compose the text of an ENVI header."""
     rows, columns, bands = shape
     lines = [
         "ENVI",
@@ -103,7 +103,7 @@ def envi_header(
 
 
 CLASSIC_LIMIT = 3 << 30
-"""Bytes of samples up to which offsets of 32 bits do, with room for data that deflate makes larger."""
+"""Largest size of samples, in bytes, for 32-bit offsets, with room for data that deflate enlarges."""
 
 
 def write_tiff(
@@ -128,7 +128,7 @@ def write_tiff(
     shape : (int, int, int)
         Rows, columns, samples a pixel (1 or 3).
     description : str
-        What the values mean.
+        Meaning of the values.
     software : str
         Program and version.
     pitch_mm : float or None
@@ -184,7 +184,7 @@ Attribute = str | float | Sequence[float]
 
 
 class ExrWriter:
-    """Writes one scan-line picture of float32 channels, rows from top to bottom.
+    """Writer of one scan-line picture of float32 channels, rows from top to bottom.
 
     Parameters
     ----------
@@ -294,12 +294,12 @@ def picture_on_disk(path: Path, rows: int, columns: int) -> Samples:
 
 
 def write_jpeg(path: Path, picture: Samples, quality: int) -> None:
-    """One JPEG file with full resolution of all three channels."""
+    """Write one JPEG file with full resolution of all three channels."""
     path.write_bytes(jpeg_bytes(picture, quality))
 
 
 def jpeg_bytes(picture: Samples, quality: int) -> bytes:
-    """Encode a JPEG with full resolution of all three channels, which may be no colours; Huffman codes of its own."""
+    """Encode a JPEG with full resolution of all three channels, of any meaning, and Huffman codes of its own."""
     import cv2
 
     options = [
@@ -329,7 +329,7 @@ def read_jpeg(path: Path) -> Samples:
 
 
 def write_deep_zoom(folder: Path, name: str, picture: Samples, scratch: Path, quality: int) -> None:
-    """Tiles of all levels, the first a single tile, the last at full resolution. scratch: for smaller copies."""
+    """Write tiles of all levels, the first a single tile, the last at full resolution. scratch: for smaller copies."""
     rows, columns = picture.shape[:2]
     levels = (-(-max(rows, columns) // TILE) - 1).bit_length()
     (folder / f"{name}.dzi").write_text(
@@ -348,7 +348,7 @@ def write_deep_zoom(folder: Path, name: str, picture: Samples, scratch: Path, qu
 
 
 def write_iiif_image(folder: Path, address: str, picture: Samples, scratch: Path, quality: int) -> None:
-    """Tiles of all levels at full, half, quarter ... size, as a server of the Image API 3.0 would name them.
+    """Write tiles of all levels at full, half, quarter ... size, named as by a server of the Image API 3.0.
 
     address: of the folder on the web, which info.json must state. scratch: for smaller copies. The whole picture is
     there in two sizes, that of the last tile and `iiif_size`; more of it has to be put together from tiles.
@@ -387,7 +387,7 @@ def write_iiif_image(folder: Path, address: str, picture: Samples, scratch: Path
 
 
 def read_iiif_tiles(folder: Path, rows: int, columns: int) -> Iterator[tuple[tuple[slice, slice], Samples]]:
-    """Tiles of `write_iiif_image` at full resolution with their windows, decoded."""
+    """Yield tiles of `write_iiif_image` at full resolution with their windows, decoded."""
     for top in range(0, rows, IIIF_TILE):
         for left in range(0, columns, IIIF_TILE):
             high, wide = min(IIIF_TILE, rows - top), min(IIIF_TILE, columns - left)
@@ -396,7 +396,7 @@ def read_iiif_tiles(folder: Path, rows: int, columns: int) -> Iterator[tuple[tup
 
 
 def iiif_size(rows: int, columns: int) -> tuple[int, int]:
-    """Width and height of the larger whole picture that `write_iiif_image` keeps: at most IIIF_WHOLE pixels a side."""
+    """Compute width and height of `write_iiif_image`'s larger whole picture: at most IIIF_WHOLE pixels a side."""
     share = min(1.0, IIIF_WHOLE / max(rows, columns))
     return max(1, round(columns * share)), max(1, round(rows * share))
 
@@ -408,7 +408,7 @@ def _iiif_file(folder: Path, region: str, size: str) -> Path:
 
 
 def read_full_resolution(folder: Path, name: str, rows: int, columns: int) -> Iterator[tuple[slice, Samples]]:
-    """Bands of the last level of a deep zoom, a row of tiles each, decoded."""
+    """Yield bands of the last level of a deep zoom, a row of tiles each, decoded."""
     level = max(int(path.name) for path in (folder / f"{name}_files").iterdir())
     band = np.empty((0, columns, 3), np.uint8)
     for row, column, window in _tiles(rows, columns):
@@ -424,7 +424,7 @@ def read_full_resolution(folder: Path, name: str, rows: int, columns: int) -> It
 
 
 def _tiles(rows: int, columns: int) -> Iterator[tuple[int, int, tuple[slice, slice]]]:
-    """Row and column of every tile, and its window with the overlap."""
+    """Yield row and column of every tile, and its window with the overlap."""
     for row in range(-(-rows // TILE)):
         for column in range(-(-columns // TILE)):
             yield row, column, (_window(row, rows), _window(column, columns))
@@ -435,7 +435,7 @@ def _window(number: int, size: int) -> slice:
 
 
 def _halved(picture: Samples, path: Path) -> Samples:
-    """Return half the size, rounded up: means of squares of four."""
+    """Reduce to half the size, rounded up: averages of four."""
     import cv2
 
     rows, columns = picture.shape[:2]

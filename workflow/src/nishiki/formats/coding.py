@@ -1,4 +1,4 @@
-"""How a picture's codes stand for light: the curve and the primaries that a file states, and profiles that state them.
+"""Convert a picture's codes to light: curves and primaries that a file states, and profiles that state them.
 
 Sources, the first that a file has: PNG chunk cICP, embedded ICC profile, PNG chunks sRGB and gAMA, TIFF transfer
 function, Exif colour space. Curves are those of ICC.1:2022, 10.18: with code x and linear light y, both 0 to 1,
@@ -27,13 +27,13 @@ class RgbSpace:
     gamma: float
 
     def to_xyz(self) -> np.ndarray:
-        """(3, 3) from linear RGB to XYZ relative to D50, white Y = 1."""
+        """Compute the matrix (3, 3) from linear RGB to XYZ relative to D50, white Y = 1."""
         columns = np.array([[x / y, 1.0, (1.0 - x - y) / y] for x, y in self.primaries]).T
         return columns * np.linalg.solve(columns, np.array(D50))
 
 
 ROMM = RgbSpace("ROMM RGB (ProPhoto)", ((0.7347, 0.2653), (0.1596, 0.8404), (0.0366, 0.0001)), 1.8)
-"""ISO 22028-2, with a pure power law. It holds every colour that a surface can have."""
+"""ISO 22028-2, with a pure power law. It contains every colour of real surfaces."""
 
 
 def icc_profile(space: RgbSpace) -> bytes:
@@ -60,7 +60,7 @@ def icc_profile(space: RgbSpace) -> bytes:
 
 
 def _fixed(value: float) -> bytes:
-    """s15Fixed16Number."""
+    """Encode an s15Fixed16Number."""
     return struct.pack(">i", round(value * 65536))
 
 
@@ -81,13 +81,13 @@ D65 = (0.3127, 0.3290)
 
 @dataclass(frozen=True)
 class Curve:
-    """Linear light of a code: `formula` (g, a, b, c, d, e, f), or `table` over equal steps where it has values."""
+    """Transfer curve of codes: `formula` (g, a, b, c, d, e, f), or `table` over equal steps where it has values."""
 
     formula: tuple[float, ...] = (1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
     table: tuple[float, ...] = ()
 
     def decode(self, codes: np.ndarray) -> np.ndarray:
-        """Linear values of codes of any shape, float64, full scale 1."""
+        """Convert codes of any shape to linear values, float64, full scale 1."""
         codes = np.asarray(codes, np.float64)
         if self.table:
             return np.interp(codes, np.linspace(0, 1, len(self.table)), self.table)
@@ -95,7 +95,7 @@ class Curve:
         return np.where(codes >= d, np.maximum(a * codes + b, 0) ** g + e, c * codes + f)
 
     def differs_from(self, other: "Curve") -> bool:
-        """Whether the two give different light, by more than `SAME`."""
+        """Check whether two curves give light that differs by more than `SAME`."""
         steps = np.linspace(0, 1, 257)
         return bool(np.abs(self.decode(steps) - other.decode(steps)).max() > SAME)
 
@@ -108,7 +108,7 @@ Matrix = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class Coding:
-    """What a file states about its codes."""
+    """A file's statements about its codes."""
 
     name: str  # for the user, with its source
     curve: Curve = LINEAR  # of every channel
@@ -121,12 +121,12 @@ class Coding:
 
     @property
     def linear(self) -> bool:
-        """Whether codes are proportional to light."""
+        """Return whether codes are proportional to light."""
         return not self.curve.differs_from(LINEAR)
 
     @property
     def encoding(self) -> Literal["linear", "srgb"]:
-        """The encoding in which pictures of this coding are compared: equal steps of any curve look about alike."""
+        """Encoding for comparing pictures of this coding: equal steps of any curve look about alike."""
         return "linear" if self.linear else "srgb"
 
     @property
@@ -138,7 +138,7 @@ class Coding:
         return None if np.allclose(matrix, np.eye(3), atol=SAME) else matrix
 
     def differs_from(self, other: "Coding") -> bool:
-        """Whether the two stand for different light: another curve or other primaries."""
+        """Check whether two codings give different light: another curve or other primaries."""
         if self.curve.differs_from(other.curve):
             return True
         mine, its = (SRGB_XYZ if each.to_xyz is None else each.to_xyz for each in (self, other))
@@ -168,7 +168,7 @@ def coding_from(values: dict[str, Any] | None) -> Coding | None:
 
 
 def primaries_xyz(primaries: tuple[tuple[float, float], ...], white: tuple[float, float] = D65) -> Matrix:
-    """(3, 3) to XYZ relative to D50 from the x and y of red, green, blue and white, adapted by Bradford's method."""
+    """Compute the matrix (3, 3) to XYZ relative to D50 from x, y of red, green, blue and white, adapted by Bradford."""
     columns = np.array([[x / y, 1.0, (1.0 - x - y) / y] for x, y in primaries]).T
     light = np.array([white[0] / white[1], 1.0, (1.0 - white[0] - white[1]) / white[1]])
     scale = (BRADFORD @ np.array(D50)) / (BRADFORD @ light)
@@ -195,7 +195,7 @@ _TRANSFERS = {
     8: ("linear", LINEAR),
     13: ("curve of sRGB", SRGB),
 }
-"""Of ITU-T H.273, tables 2 and 3."""
+"""Curves by the codes of ITU-T H.273, tables 2 and 3."""
 
 
 def exif_coding(colour_space: str) -> Coding | None:

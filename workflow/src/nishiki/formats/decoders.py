@@ -103,7 +103,7 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
 
 
 def _full_pages(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
-    """Pages that are no previews and no masks, of the file's chain or else of the pages below."""
+    """List pages that are no previews and no masks, of the file's chain or else of the pages below."""
     chain: list[tifffile.TiffPage] = []
     for number in range(MOST_PAGES + 1):
         try:
@@ -123,7 +123,7 @@ def _full_pages(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
 
 
 def _expect_fields(page: tifffile.TiffPage) -> None:
-    """ValueError where a field of the directory that describes the pixels is damaged: tifffile passes over those."""
+    """Raise ValueError where a field describing the pixels is damaged: tifffile ignores such fields."""
     tiff, file = page.parent.tiff, page.parent.filehandle
     file.seek(page.offset)
     (count,) = struct.unpack(tiff.tagnoformat, file.read(tiff.tagnosize))
@@ -135,12 +135,12 @@ def _expect_fields(page: tifffile.TiffPage) -> None:
 
 
 def _is_preview(page: tifffile.TiffPage) -> bool:
-    """Whether a page is one of reduced resolution or a transparency mask (NewSubfileType, SubfileType)."""
+    """Check whether a page is one of reduced resolution or a transparency mask (NewSubfileType, SubfileType)."""
     return bool(page.subfiletype & 5) or page.tags.valueof(255) == 2 or page.imagelength * page.imagewidth == 0
 
 
 def _sample(page: tifffile.TiffPage, name: str) -> tuple[Sample, int | None]:
-    """Type of the decoded samples, and their significant bits where these are fewer."""
+    """Return the type of the decoded samples, and their significant bits where these are fewer."""
     bits, form = page.bitspersample, int(page.sampleformat)
     if form == 3 and bits in (16, 24, 32, 64):
         return "float32", None
@@ -152,7 +152,7 @@ def _sample(page: tifffile.TiffPage, name: str) -> tuple[Sample, int | None]:
 
 
 def _stored_bytes(page: tifffile.TiffPage) -> int:
-    """Bytes of a page's samples before compression. ValueError where its pieces are out of proportion to it."""
+    """Compute the bytes of a page's samples before compression. ValueError where its pieces are out of proportion."""
     rows, columns = page.imagelength, page.imagewidth
     if page.is_tiled and not (0 < page.tilewidth <= columns + 65536 and 0 < page.tilelength <= rows + 65536):
         raise ValueError(f"TIFF tiles of {page.tilelength} x {page.tilewidth} samples")
@@ -197,9 +197,9 @@ def _decode_page(page: tifffile.TiffPage, out: np.ndarray) -> None:
 
 _NO_LIGHT = frozenset("a alpha z zback zf depth depth.z id mask ar ag ab ra ga ba".split())
 _BEAUTY = ("", "combined", "beauty", "rgba", "rgb", "composite", "default", "main")
-"""Last word of the layer that holds the whole light, in order of preference; '' has no layer."""
+"""Last word of the name of the layer with the whole light, in order of preference; '' has no layer."""
 _RATIO = {"NO_COMPRESSION": 1, "RLE_COMPRESSION": 130, "ZIPS_COMPRESSION": 1040, "ZIP_COMPRESSION": 1040}
-"""How many times smaller than its pixels a coded part can be; other compressions have no bound."""
+"""Largest possible compression ratio of a coded part; other compressions have no bound."""
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ def _channels(header: dict[str, Any], part: int) -> list[_Channel]:
 
 
 def _light(found: list[_Channel]) -> list[_Channel]:
-    """Channels of the layer that is taken, red, green and blue first; of all layers where none stands out."""
+    """Select channels of the best layer, red, green and blue first; of all layers where none stands out."""
     layers: dict[str, list[_Channel]] = {}
     for channel in found:
         layers.setdefault(channel.layer, []).append(channel)
@@ -302,13 +302,13 @@ def _light(found: list[_Channel]) -> list[_Channel]:
 
 
 def _window(corners: tuple[np.ndarray, np.ndarray]) -> tuple[int, int, int, int]:
-    """Row, column, rows, columns of a window between two corners (x, y), both inclusive."""
+    """Compute row, column, rows, columns of a window between two corners (x, y), both inclusive."""
     (left, top), (right, bottom) = (tuple(int(n) for n in corner) for corner in corners)
     return top, left, bottom - top + 1, right - left + 1
 
 
 def _primaries(corners: Any) -> Matrix | None:
-    """(3, 3) to XYZ of the attribute `chromaticities`: red, green, blue, white, x and y each."""
+    """Convert the attribute `chromaticities` (x, y of red, green, blue, white) to a matrix (3, 3) to XYZ."""
     if corners is None:
         return None
     try:
@@ -349,7 +349,7 @@ def open_raw(file: BinaryIO, name: str) -> Picture:
 
 
 def _develop_raw(rawpy: Any, file: BinaryIO, wanted: Wanted, output: Output) -> np.ndarray:
-    """Developed picture (rows, columns, channels) uint16, 65535 at the sensor's white level, black level subtracted.
+    """Develop to (rows, columns, channels) uint16, 65535 at the sensor's white level, black level subtracted.
 
     Bilinear demosaicing: it is the same linear filter in every frame, so ratios between lights, on which photometric
     stereo rests, are not disturbed as they are by methods that follow edges. The white level is the camera's and not

@@ -1,4 +1,4 @@
-"""Reading files that may come from a stranger: bounded, regular files only, never outside their folder, never code.
+"""Read files that may come from a stranger: bounded, regular files only, never outside their folder, never code.
 
 How large what comes from outside may be stands in one table, BOUNDS. A bound is compared with what a file is or claims
 before anything of that size is read, decoded or allocated. All are far above what captures hold.
@@ -24,7 +24,7 @@ VARIABLE = "NISHIKI_BOUNDS"
 
 @dataclass(frozen=True)
 class Bound:
-    """value: the largest that is read, in `unit`; of: what it is the size of."""
+    """value: the largest that is accepted, in `unit`; of: the measured property."""
 
     value: int
     unit: str
@@ -68,14 +68,14 @@ BOUNDS = MappingProxyType(
 
 
 def bound(name: str) -> int:
-    """Return the bound of this kind. UserError where NISHIKI_BOUNDS is not as it should be."""
+    """Return the bound of this kind. UserError where NISHIKI_BOUNDS is invalid."""
     value = _raised(os.environ.get(VARIABLE, "")).get(name, BOUNDS[name].value)
     return value or machine_memory() * 3 // 4
 
 
 @cache
 def machine_memory() -> int:
-    """Bytes of memory that this process may use: the machine's, or its control group's where that has less."""
+    """Return the memory limit of this process in bytes: the machine's, or its control group's where that is less."""
     machine = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     try:
         with open("/sys/fs/cgroup/memory.max") as file:
@@ -100,7 +100,7 @@ def _raised(text: str) -> dict[str, int]:
 
 
 def remedy(name: str) -> str:
-    """Say what to do where something trustworthy is larger than a bound."""
+    """Return the remedy for a trustworthy file above a bound."""
     return f"If it is as it should be, raise the bound: {VARIABLE}={name}=..., now {bound(name)} {BOUNDS[name].unit}"
 
 
@@ -108,7 +108,7 @@ NAME_BYTES = 200  # file systems hold 255; what is made from a file gets a longe
 
 
 class Refused(UserError):
-    """A file that is not read: file, what is wrong, expected, found and remedy apart, for readers that tell them so."""
+    """Error of a rejected file: file, fault, expected, found and remedy apart, for readers that report them apart."""
 
     def __init__(self, file: str, what: str, *, expected: str = "", found: str = "", remedy: str = ""):
         self.file, self.what, self.expected, self.found, self.remedy = file, what, expected, found, remedy
@@ -119,7 +119,7 @@ class Refused(UserError):
 
 
 def expect_bound(size: int, name: str, file: str) -> None:
-    """Refused where a size is above its bound."""
+    """Raise Refused where a size is above its bound."""
     if size > bound(name):
         unit = BOUNDS[name].unit
         expected, found = f"at most {bound(name)} {unit}", f"{size} {unit}"
@@ -127,7 +127,7 @@ def expect_bound(size: int, name: str, file: str) -> None:
 
 
 def expect_memory(size: int, file: str) -> None:
-    """Refused where something would need more memory than there is."""
+    """Raise Refused where more memory would be needed than there is."""
     if size > bound("memory_bytes"):
         expected, found = f"at most {bound('memory_bytes')} bytes", f"{size} bytes"
         what, advice = "more than this machine's memory can hold", "Read it on a machine with more memory"
@@ -135,7 +135,7 @@ def expect_memory(size: int, file: str) -> None:
 
 
 def read_bytes(path: Path | str, limit: str, *, name: str | None = None) -> bytes:
-    """Content of a regular file of at most the bound `limit`.
+    """Read a regular file of at most the bound `limit`.
 
     name: how to call it in messages. FileNotFoundError where there is none; Refused where it is a folder, a device or
     a pipe (which would be read for ever), larger, or may not be read.
@@ -170,7 +170,7 @@ def open_regular(path: Path | str, file: str) -> int:
 
 
 def read_text(path: Path | str, limit: str, *, name: str | None = None, errors: str = "strict") -> str:
-    """Text of a UTF-8 file, without a byte-order mark; see `read_bytes`. UnicodeDecodeError where it is none."""
+    """Read a UTF-8 file, without a byte-order mark; see `read_bytes`. UnicodeDecodeError for other text."""
     return read_bytes(path, limit, name=name).decode("utf-8-sig", errors=errors)
 
 
@@ -185,7 +185,7 @@ def read_json(path: Path | str) -> dict[str, Any]:
 
 
 def json_object(text: str | bytes) -> dict[str, Any]:
-    """Parse a JSON object. ValueError says briefly where the text is none."""
+    """Parse a JSON object. ValueError describes other texts briefly."""
     try:
         value = json.loads(text)
     except RecursionError:
@@ -198,7 +198,7 @@ def json_object(text: str | bytes) -> dict[str, Any]:
 
 
 def name_fault(name: str) -> str:
-    """Say why a name is refused, or '': absolute, '..', back slash, drive, control character, part of > 200 bytes."""
+    """Return the fault of a name, or '': absolute, '..', back slash, drive, control character, part of > 200 bytes."""
     parts = PurePosixPath(name).parts
     if not name or name.startswith("/") or ".." in parts or "\\" in name or name[1:2] == ":":
         return "file name"
@@ -210,17 +210,17 @@ def name_fault(name: str) -> str:
 
 
 def is_plain(text: str) -> bool:
-    """Whether a text has no control characters (line ends and changes of direction included) and is Unicode."""
+    """Check that a text has no control characters (line ends and changes of direction included) and is Unicode."""
     return not UNSEEN.search(text)
 
 
 def is_label(text: str) -> bool:
-    """Whether a name (of a light, view, region) can be part of a file name: plain, no slashes, at most 100 bytes."""
+    """Check that a name (of a light, view, region) can be part of a file name: plain, no slashes, at most 100 bytes."""
     return bool(text) and is_plain(text) and not set(text) & set("/\\") and len(text.encode()) <= NAME_BYTES // 2
 
 
 def files_with(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """Files of a folder with one of these suffixes (small letters) in any case, in the order of their names.
+    """List files of a folder with one of these suffixes (given in lower case) in any case, by name.
 
     Hidden files are left out: macOS writes a `._NAME` beside every file on a disk of another system.
     """
@@ -232,12 +232,12 @@ def files_with(folder: Path, suffixes: Collection[str]) -> list[Path]:
 
 
 def same_name(name: str) -> str:
-    """Normalise a file name for comparison: no capitals, and accents composed, which macOS takes apart."""
+    """Normalise a file name for comparison: lower case, and accents composed, which macOS decomposes."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
 def leads_out(path: Path, folder: Path) -> bool:
-    """Whether a path, its links followed, lies outside a folder."""
+    """Check whether a path, its links followed, lies outside a folder."""
     try:
         place, parts = str(folder), path.relative_to(folder).parts
         if ".." not in parts and not any(os.path.islink(place := os.path.join(place, part)) for part in parts):
@@ -251,7 +251,7 @@ def leads_out(path: Path, folder: Path) -> bool:
 
 
 def walk(folder: Path, most: str = "folder_entries") -> Iterator[tuple[str, os.DirEntry]]:
-    """Every entry below a folder that is no folder itself, as (name relative to it, entry), in the order of names.
+    """Yield every entry below a folder that is no folder itself, as (name relative to it, entry), sorted by name.
 
     Links to folders are entries, never entered. Refused beyond the bounds `most` and folder_depth.
     """
@@ -272,7 +272,7 @@ def walk(folder: Path, most: str = "folder_entries") -> Iterator[tuple[str, os.D
 
 
 def put_file(path: Path, content: str | bytes) -> None:
-    """Write a file whole or not at all; it is on the disk when this returns."""
+    """Write a file whole or not at all, and flush it to the disk."""
     partial = path.with_name(f".{path.name}.part")
     partial.unlink(missing_ok=True)  # never written through: it may be a link that leads elsewhere
     with partial.open("xb") as file:
@@ -284,7 +284,7 @@ def put_file(path: Path, content: str | bytes) -> None:
 
 @contextmanager
 def whole_folder(target: Path) -> Iterator[Path]:
-    """Give the path of a folder to make and fill, which becomes the target when nothing went wrong."""
+    """Yield the path of a folder to make and fill, which becomes the target when nothing went wrong."""
     partial = target.with_name(f".{target.name}.partial")
     if partial.exists():
         shutil.rmtree(partial)

@@ -1,4 +1,4 @@
-"""Photographs: their headers before anything large is allocated, and the stored codes, nothing applied to them.
+"""Read photographs: their headers before anything large is allocated, and the stored codes, unchanged.
 
 A damaged or hostile header may claim any size; what it claims is compared with what the file can hold and with the
 bounds of `nishiki.formats.files`, and only then is the file decoded. Channels come in the order red, green, blue."""
@@ -54,7 +54,7 @@ def open_picture_file(path: Path, name: str) -> int:
 
 
 def absurd_claim(header: ImageHeader, bytes_on_disk: int, name: str) -> Problem | None:
-    """Return the problem of the size that a header claims, or None."""
+    """Return the problem of the size claimed by a header, or None."""
     size = f"{header.rows} x {header.columns} x {header.channels}"
     if min(header.rows, header.columns, header.channels) < 1:
         return error("image-absurd", name, "image without pixels", found=size)
@@ -110,7 +110,7 @@ def read_codes(
 
 
 def read_jpeg_bytes(content: bytes, name: str) -> np.ndarray:
-    """Codes (rows, columns, channels) uint8 of a JPEG picture in memory. CaptureError as `read_codes`."""
+    """Decode codes (rows, columns, channels) uint8 of a JPEG picture in memory. CaptureError as `read_codes`."""
     handle = hold(content)
     try:
         header = request_header(handle, ".jpg", name)
@@ -123,7 +123,7 @@ def read_jpeg_bytes(content: bytes, name: str) -> np.ndarray:
 
 
 def expect_channels(header: ImageHeader, channels: tuple[str, ...], name: str) -> None:
-    """CaptureError (channels-differ) unless the file has these channels, an alpha channel apart."""
+    """Raise CaptureError (channels-differ) unless the file has these channels, an alpha channel apart."""
     count = len(channels)
     if header.channels == count or (header.alpha and header.channels == count + 1):
         return

@@ -1,4 +1,4 @@
-"""Relightable images in one file: polynomial texture maps (`.ptm`) and hemispherical harmonics (`.rti`).
+"""Read relightable images in one file: polynomial texture maps (`.ptm`) and hemispherical harmonics (`.rti`).
 
 `.ptm` of versions 1.1 and 1.2 (T. Malzbender, D. Gelb and H. Wolters (2001), Polynomial texture maps, SIGGRAPH). Six
 coefficients of u^2, v^2, u v, u, v, 1, each a byte: coefficient = (byte - bias) scale, for values 0 to 255; u and v
@@ -42,7 +42,7 @@ REMEDY = "Copy it again, or convert the photographs that it was made from"
 
 
 class TextHeading:
-    """Reads a heading word by word; name: of the file, size: of it in bytes.
+    """Reader of a heading word by word; name: of the file, size: of it in bytes.
 
     Refused by all methods where the heading is not as it should be.
     """
@@ -79,7 +79,7 @@ class TextHeading:
         return values
 
     def expect_sound(self, values: list[float]) -> None:
-        """Refused unless all numbers are finite and none is beyond LARGEST."""
+        """Raise Refused unless all numbers are finite and none is beyond LARGEST."""
         if not all(abs(value) <= LARGEST for value in values):
             expected, found = f"numbers up to {LARGEST:g}", " ".join(f"{value:g}" for value in values)
             raise Refused(self.name, "scales or biases that cannot be", expected=expected, found=found, remedy=REMEDY)
@@ -92,14 +92,14 @@ class TextHeading:
         return found
 
     def picture_size(self, columns: int, rows: int) -> None:
-        """Refused unless this is a size of pictures that are read."""
+        """Raise Refused unless the size is valid and within the bounds of pictures."""
         if min(rows, columns) < 1:
             raise Refused(self.name, "a picture without pixels", found=f"{columns} x {rows}", remedy=REMEDY)
         expect_bound(max(rows, columns), "image_side", self.name)
         expect_bound(rows * columns, "image_pixels", self.name)
 
     def data(self, count: int) -> int:
-        """Where the binary data begin, at least `count` bytes, after the end of the heading's last line."""
+        """Return the offset of the binary data, at least `count` bytes, after the end of the heading's last line."""
         end = LINE_END.match(self.start, self.place)
         if end is None:
             raise Refused(self.name, "the heading does not end with its line", remedy=REMEDY)
@@ -136,7 +136,7 @@ class PtmFile:
         return self.terms.shape[1], self.terms.shape[2]
 
     def shown(self, light: np.ndarray) -> np.ndarray:
-        """(rows, columns, 3) float32 from the top, for a unit vector to the lamp; full brightness is 1, not clipped."""
+        """Render (rows, columns, 3) float32 from the top for a unit lamp vector; full brightness is 1, not clipped."""
         u, v, _ = light
         weights = np.array([u * u, v * v, u * v, u, v, 1.0]) * self.scale / 255
         offset, weights = np.float32(-self.bias @ weights), weights.astype(np.float32)
@@ -149,7 +149,7 @@ class PtmFile:
 
 
 def open_ptm(path: Path) -> PtmFile:
-    """Read the heading, and what is compressed.
+    """Read the heading, and the compressed data.
 
     Refused where the file is none, of another layout, ends early or claims more than is read.
     """
@@ -225,7 +225,7 @@ def read_ptm(path: Path) -> Callable[[slice], np.ndarray]:
 
 @dataclass(frozen=True)
 class PtmStreams:
-    """What the heading says of each stream. steps : the number of the stream that is made first, second ..."""
+    """Facts on each stream from the heading. steps : the number of the first stream to make, the second ..."""
 
     inverted: tuple[bool, ...]
     steps: tuple[int, ...]
@@ -235,7 +235,7 @@ class PtmStreams:
 
     @classmethod
     def of(cls, heading: TextHeading, count: int) -> "PtmStreams":
-        """Read the lists of the heading, for so many streams. Refused where they cannot be followed."""
+        """Read the lists of the heading, for so many streams. Refused where they are inconsistent."""
         heading.integers(1)  # the encoder's quality
         transforms, right, down, order, references, sizes, corrections = (heading.integers(count) for _ in range(7))
         faults = {
@@ -256,11 +256,11 @@ class PtmStreams:
 
     @property
     def bytes(self) -> int:
-        """Of all streams and their corrections."""
+        """Size in bytes of all streams and their corrections."""
         return sum(self.sizes) + sum(self.corrections)
 
     def decoded(self, stored: np.ndarray, rows: int, columns: int, name: str) -> np.ndarray:
-        """(streams, rows, columns) uint8 from the bytes that follow the heading. Refused where a stream is damaged."""
+        """Decode (streams, rows, columns) uint8 from the bytes after the heading. Refused where a stream is damaged."""
         planes = np.empty((len(self.sizes), rows, columns), np.uint8)
         lengths = [length for pair in zip(self.sizes, self.corrections, strict=True) for length in pair]
         starts = np.concatenate([[0], np.cumsum(lengths)])
@@ -314,7 +314,7 @@ class HshFile:
         return self.terms.shape[0], self.terms.shape[1]
 
     def shown(self, light: np.ndarray) -> np.ndarray:
-        """(rows, columns, 3) float32 from the top, for a unit vector to the lamp; full brightness is 1, not clipped."""
+        """Render (rows, columns, 3) float32 from the top for a unit lamp vector; full brightness is 1, not clipped."""
         (harmonics,) = hemispherical_harmonics(np.asarray(light, float)[None], math.isqrt(len(self.scale)))
         weights, offset = (harmonics * self.scale / 255).astype(np.float32), np.float32(harmonics @ self.bias)
         picture = np.empty((*self.shape, 3), np.float32)
@@ -324,7 +324,7 @@ class HshFile:
 
 
 def hemispherical_harmonics(lights: np.ndarray, order: int) -> np.ndarray:
-    """(n, order^2) values of the basis for unit vectors (n, 3) to lamps, in the order of RTIViewer.
+    """Compute the basis (n, order^2) for unit vectors (n, 3) to lamps, in the order of RTIViewer.
 
     Gautron and others (2004), eq. 5: Legendre functions of 2 cos(theta) - 1. Of a degree those with cos(m phi) come
     first, the largest m first, then those with sin(m phi); all with m above 0 have the sign that viewers give them.
@@ -346,12 +346,12 @@ def hemispherical_harmonics(lights: np.ndarray, order: int) -> np.ndarray:
 
 
 def _bytes(terms: int, rows: int, columns: int) -> int:
-    """Of the factors and the picture."""
+    """Return the size in bytes of the factors and the picture."""
     return 8 * terms + 3 * terms * rows * columns
 
 
 def open_hsh(path: Path) -> HshFile:
-    """Read the heading. Refused where the file is none, of another kind, ends early or claims more than is read."""
+    """Read the heading. Refused where the file is no such file, ends early or claims more than the bounds."""
     heading = TextHeading(path)
     if not heading.start.startswith(b"#HSH"):
         what, found = "not a file of hemispherical harmonics", repr(heading.start[:8])

@@ -1,4 +1,4 @@
-"""The reader of masks, silhouettes and label pictures: which pixels are the object, and what is doubtful about it.
+"""Read masks, silhouettes and label pictures: which pixels are the object, and which readings are doubtful.
 
 The cut lies midway between the darkest and the lightest value, so that video range, feathered edges and lossy
 compression do not move it. A shape that is painted in the alpha channel counts where the colours have none.
@@ -40,7 +40,7 @@ def read_mask(path: Path, *, name: str | None = None) -> np.ndarray:
 
 
 def examine_mask(path: Path, *, name: str | None = None) -> Mask:
-    """Read a mask or silhouette and examine whether it could be meant otherwise.
+    """Read a mask or silhouette and check for other possible interpretations.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def examine_mask(path: Path, *, name: str | None = None) -> Mask:
     Raises
     ------
     CaptureError
-        Those of `read_codes`.
+        As `read_codes`.
     """
     name = name or path.name
     codes, count = _read_with_alpha(path, name)
@@ -120,7 +120,7 @@ def expect_size(picture: np.ndarray, size: tuple[int, int], name: str, kind: str
 
 
 def label_problems(labels: np.ndarray, name: str) -> list[Problem]:
-    """Warn (regions-blended) of labels (rows, columns) that stand only on borders between others, with values between.
+    """Warn (regions-blended) of labels (rows, columns) that occur only on borders between others, with values between.
 
     Scaling and soft brushes make them: each would become a region of its own.
     """
@@ -141,7 +141,7 @@ def label_problems(labels: np.ndarray, name: str) -> list[Problem]:
 
 
 def looks_inverted(inside: np.ndarray) -> bool:
-    """Decide whether a mask (rows, columns) bool holds the background: one large part is left out, away from the edges.
+    """Decide whether a mask (rows, columns) bool is the background: one large part is omitted, away from the edges.
 
     A part that is open to one edge, such as a bust on its table, counts where it is larger.
     """
@@ -160,7 +160,7 @@ def looks_inverted(inside: np.ndarray) -> bool:
 
 
 def _read_with_alpha(path: Path, name: str) -> tuple[np.ndarray, int]:
-    """Codes (rows, columns, channels) with alpha, where there is one, after the colours; number of colour channels."""
+    """Read codes (rows, columns, channels) with alpha, if any, after the colours; count the colour channels."""
     header = read_header(path, name=name)
     count = header.channels - header.alpha
     names = header.names or tuple(f"channel {i}" for i in range(count))
@@ -188,7 +188,7 @@ def _select_values(colours: np.ndarray, alpha: np.ndarray, name: str) -> tuple[n
 
 
 def _grey_values(colours: np.ndarray, name: str) -> tuple[np.ndarray, list[Problem]]:
-    """One value a pixel: the strongest channel; of flat colours on black, 1 for every colour."""
+    """Reduce to one value per pixel: the strongest channel; of flat colours on black, 1 for every colour."""
     first, *others = np.moveaxis(colours, 2, 0)
     if all(np.array_equal(first, other) for other in others):
         return first, []
@@ -225,7 +225,7 @@ def _distinct_colours(colours: np.ndarray) -> np.ndarray | None:
 
 
 def _distinct_values(values: np.ndarray) -> list[float]:
-    """List the values that occur in a picture, in order."""
+    """List the values of a picture, in order."""
     import cv2
 
     if values.dtype.kind == "f":
@@ -245,7 +245,7 @@ def _lies_on_outline(pixels: np.ndarray, inside: np.ndarray) -> bool:
 
 
 def _cut_values(values: np.ndarray, name: str) -> tuple[np.ndarray, list[Problem]]:
-    """Pixels from the middle of the range up (rows, columns) bool; a warning where values other than two occur.
+    """Select pixels from the middle of the range up (rows, columns) bool; warn where values other than two occur.
 
     Small integers are numbers of parts: all but 0 are the object. A picture of one value is all object, or none if 0.
     Smooth edges of a pixel or two move the outline by less than a pixel, and are no reason to warn.

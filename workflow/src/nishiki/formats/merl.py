@@ -1,4 +1,4 @@
-"""Tables of measured reflection: the databases MERL (`.binary`), UTIA (`.bin`) and that of Dupuy and Jakob (`.bsdf`).
+"""Read and write measured reflection: databases MERL (`.binary`), UTIA (`.bin`), and Dupuy and Jakob (`.bsdf`).
 
 MERL: three int32 (90, 90, 180), then doubles (colour, theta_h, theta_d, phi_d), lowest byte first, in steps of
 MERL_SCALE. theta_h, from the normal to the half vector, is spaced by squares: cell k begins at 90 (k / 90)^2 degrees.
@@ -22,12 +22,12 @@ from nishiki.formats.files import Refused, read_bytes
 MERL_SHAPE = (90, 90, 180)
 MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
 MERL_HIDDEN = -1.0
-"""Of a table where light or view is below the surface."""
+"""Value of a table where light or view is below the surface."""
 MERL_BYTES = 12 + 8 * 3 * int(np.prod(MERL_SHAPE))
 
 
 def read_merl(path: Path, name: str) -> np.ndarray:
-    """(90, 90, 180, 3) float64 of BRDF values in 1/sr, red, green, blue. Refused where the file is no such table.
+    """Read (90, 90, 180, 3) float64 of BRDF values in 1/sr, red, green, blue. Refused for any other file.
 
     Values below 0 are those of the file; values that are not finite are refused.
     """
@@ -46,7 +46,7 @@ def read_merl(path: Path, name: str) -> np.ndarray:
 
 
 def merl_values(table: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """(n, 3) values of a table for unit vectors (n, 3) to light and view, the normal being z.
+    """Interpolate values (n, 3) of a table for unit vectors (n, 3) to light and view, the normal being z.
 
     Linear between the middles of the cells. Below 0 where one of the cells around has no value.
     """
@@ -120,7 +120,7 @@ UTIA_BYTES = 8 * int(np.prod(UTIA_SHAPE))
 
 
 def read_utia(path: Path, name: str) -> np.ndarray:
-    """Rows (58081, 7) float64 of theta_i, phi_i, theta_r, phi_r in degrees and red, green, blue as stored.
+    """Read rows (58081, 7) float64 of theta_i, phi_i, theta_r, phi_r in degrees and red, green, blue as stored.
 
     Values that differ only in the azimuth of a direction along the normal are averaged. Refused where the file is not
     as long as such a table.

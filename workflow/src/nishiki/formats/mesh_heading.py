@@ -1,4 +1,4 @@
-"""What a mesh file is and claims to hold, from its heading, before a reader allocates it.
+"""Check the type of a mesh file and the size that its heading claims, before a reader allocates it.
 
 PLY as described by G. Turk (The PLY Polygon File Format, Stanford, 1994).
 """
@@ -36,12 +36,12 @@ class Element:
 
     @property
     def least(self) -> int:
-        """Bytes of one in a binary file, lists counted as empty."""
+        """Least size of one element in bytes in a binary file, lists counted as empty."""
         return sum(np.dtype(KINDS[count or kind]).itemsize for _, count, kind in self.properties)
 
 
 def expect_mesh(path: Path, file: str, where: str, *, scan: bool) -> None:
-    """CaptureError unless the file looks like a mesh: mesh-format by its suffix, mesh-unreadable, mesh-empty.
+    """Raise CaptureError unless the file looks like a mesh: mesh-format by its suffix, mesh-unreadable, mesh-empty.
 
     Only the heading of a PLY file and the start of an OBJ file are looked at. A scan may be points without faces.
     """
@@ -90,7 +90,7 @@ def expect_mesh_file(path: Path, file: str) -> list[Element]:
 
 
 def read_heading(stream: BinaryIO, file: str) -> tuple[bool, list[Element], int]:
-    """Whether a PLY file is text, its elements, and where its data begin. Refused where the heading is none."""
+    """Read whether a PLY file is text, its elements, and the offset of its data. Refused without a valid heading."""
     start = stream.read(LONGEST)
     end = start.find(b"end_header")
     if not start.startswith(b"ply") or end < 0:

@@ -1,4 +1,4 @@
-"""What a camera wrote beside a photograph: exposure, orientation, colour space, model (Exif 2.32, CIPA DC-008)."""
+"""Read a camera's facts on a photograph: exposure, orientation, colour space, model (Exif 2.32, CIPA DC-008)."""
 
 import io
 import logging
@@ -85,7 +85,7 @@ def exif_of_page(page: Any) -> Exif:
 
 
 def quiet_tifffile() -> None:
-    """Keep tifffile from logging what it makes of damaged files, and that an Exif block has no pixels."""
+    """Stop tifffile from logging details of damaged files, and that an Exif block has no pixels."""
     logging.getLogger("tifffile").setLevel(logging.CRITICAL + 1)
 
 
@@ -159,7 +159,7 @@ IMAGE_SUFFIXES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".exr"}) |
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """Hold the facts of a photograph's header."""
+    """Facts from a photograph's header."""
 
     kind: Kind
     rows: int
@@ -175,7 +175,7 @@ class ImageHeader:
     exif: Exif = NO_EXIF  # facts of the camera
 
     def coding_used(self, encoding: str) -> Coding:
-        """Choose the coding by which its codes become light; see `nishiki.formats.coding.coding_used`."""
+        """Choose the coding that converts its codes to light; see `nishiki.formats.coding.coding_used`."""
         return coding_used(self.kind, self.coding, encoding)
 
     @property
@@ -201,7 +201,7 @@ AS_RGB = "Save it as RGB or grey in the program that wrote it"
 
 @dataclass(frozen=True)
 class Wanted:
-    """channels: names in the order wanted, for formats that name theirs; luma: of a JPEG its luma plane alone."""
+    """channels: requested names in order, for formats that name theirs; luma: read only the luma plane of a JPEG."""
 
     channels: tuple[str, ...]
     luma: bool = False
@@ -209,7 +209,7 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Picture:
-    """An open picture: its header, and a function that decodes it into an array that `Output` makes.
+    """Open picture: its header, and a function that decodes it into an array that `Output` makes.
 
     The array has (rows, columns, channels), an alpha channel last. profile: embedded ICC profile, or empty.
     """
@@ -231,13 +231,13 @@ class Picture:
 
 
 def unsupported(name: str, found: str, remedy: str = AS_RGB) -> CaptureError:
-    """Make the error for a picture that is sound, but of a kind that is not read."""
+    """Make the error for a valid picture of an unsupported kind."""
     what = "a kind of picture that is not read"
     return CaptureError(error("image-unsupported", name, what, found=found, remedy=remedy))
 
 
 def open_picture(file: BinaryIO, suffix: str, name: str) -> Picture:
-    """Look at a picture by its content, at camera raw by its suffix."""
+    """Open a picture by its content, camera raw by its suffix."""
     file.seek(0)
     start = file.read(32)
     if suffix.lower() in RAW_SUFFIXES:
@@ -263,7 +263,7 @@ def open_picture(file: BinaryIO, suffix: str, name: str) -> Picture:
 
 
 def open_png(file: BinaryIO) -> Picture:
-    """Open a PNG: libpng proves the checksums of its chunks when it is decoded; the last one is looked for here."""
+    """Open a PNG and find its last chunk; libpng verifies the checksums of its chunks when it is decoded."""
     chunks: dict[bytes, bytes] = {}
     for kind, place, length in png_chunks(file):
         if length <= MOST_PROFILE:
@@ -349,7 +349,7 @@ def expect_end(file: BinaryIO, start: int, mark: bytes, form: str) -> None:
 
 
 def _develop(picture: Picture, wanted: Wanted, output: Output) -> np.ndarray:
-    """Linear light (rows, columns, channels) uint16 in the primaries of ROMM RGB, by the profile, through LittleCMS.
+    """Convert to linear light (rows, columns, channels) uint16 in ROMM primaries, by the profile, through LittleCMS.
 
     A pixel that is at full scale in any channel becomes white, so that it still counts as saturated.
     """
@@ -374,7 +374,7 @@ _COLOURS = {"red": ("R", "red"), "green": ("G", "green"), "blue": ("B", "blue"),
 
 
 def match_channels(present: tuple[str, ...], names: tuple[str, ...]) -> list[str]:
-    """Which of a file's channels of light stand for the wanted ones, in their order.
+    """Match the requested channels of light with those of a file, in the requested order.
 
     A wanted name matches a channel of the same name (capitals apart), or R, G, B for red, green, blue; where they do
     not match, all channels are taken in the file's order. ValueError where the counts differ.
@@ -392,5 +392,5 @@ def match_channels(present: tuple[str, ...], names: tuple[str, ...]) -> list[str
 
 
 def several_layers(names: tuple[str, ...]) -> bool:
-    """Whether channels belong to different layers, so that somebody has to choose."""
+    """Check whether channels belong to different layers, so that the user has to choose."""
     return len({name.rpartition(".")[0] for name in names}) > 1

@@ -1,4 +1,4 @@
-"""The child process that decodes pictures: a hostile or damaged file can take no more there than it is allowed.
+"""Decode pictures in a child process, which limits the resources of a hostile or damaged file.
 
 The child is started once and kept, one for each thread that reads at the same time. It gets an open file, never a name;
 answers are JSON, and pixels lie in memory that both map, so that nothing is copied. Each request has its own limits,
@@ -39,13 +39,13 @@ _START = "import sys; sys.path[:] = sys.argv[2:]; from nishiki.formats.picture_p
 
 
 def request_header(handle: int, suffix: str, name: str) -> ImageHeader:
-    """Header of an open picture. CaptureError (image-unreadable, image-truncated, image-unsupported, ...)."""
+    """Read the header of an open picture. CaptureError (image-unreadable, image-truncated, image-unsupported, ...)."""
     answer, _ = _ask({"do": "header", "suffix": suffix, "name": name}, handle, 0)
     return header_from(answer["header"])
 
 
 def request_codes(handle: int, header: ImageHeader, suffix: str, name: str, wanted: dict[str, Any]) -> np.ndarray:
-    """Codes (rows, columns, channels) of an open picture, alpha included, in memory shared with the child.
+    """Read codes (rows, columns, channels) of an open picture, alpha included, in memory shared with the child.
 
     wanted: channels, luma, and region (row, column, rows, columns) or None. CaptureError as `request_header`.
     """
@@ -63,7 +63,7 @@ def request_codes(handle: int, header: ImageHeader, suffix: str, name: str, want
 
 
 def hold(content: bytes) -> int:
-    """Hold a file's content in anonymous memory, and return its handle."""
+    """Copy a file's content to anonymous memory, and return its handle."""
     handle = _anonymous()
     rest = memoryview(content)
     while rest:
@@ -84,7 +84,7 @@ class _Child:
             )  # fmt: skip
 
     def end(self) -> int:
-        """Close the socket, at which the child ends; its exit status."""
+        """Close the socket, which ends the child; return its exit status."""
         self.socket.close()
         return self.process.wait()
 
@@ -95,7 +95,7 @@ _lock = threading.Lock()
 
 @atexit.register
 def end_children() -> None:
-    """End the decoding processes that have nothing to do, whose time then counts as that of this one's children."""
+    """End idle decoding processes, so that their time counts as that of this process's children."""
     while _idle:
         _idle.pop().end()
 
@@ -104,7 +104,7 @@ os.register_at_fork(after_in_child=_idle.clear)  # the children belong to the pa
 
 
 def _ask(request: dict[str, Any], handle: int, size: int) -> tuple[dict[str, Any], int | None]:
-    """Request something of an open file; return the answer, and a handle of memory where it has pixels."""
+    """Send a request about an open file; return the answer, and a handle of memory where it has pixels."""
     with _lock:
         child = _idle.pop() if _idle else None
     child = child or _Child()
@@ -140,7 +140,7 @@ def _send(connection: socket.socket, message: dict[str, Any], handle: int | None
 
 
 def _receive(connection: socket.socket) -> tuple[dict[str, Any], int | None]:
-    """Receive a message and the handle that came with it. EOFError where the other side has ended."""
+    """Receive a message and its handle. EOFError where the other side has ended."""
     content, handles, _, _ = socket.recv_fds(connection, MESSAGE, 1)
     length = 4 + struct.unpack("=I", content[:4])[0] if len(content) >= 4 else MESSAGE
     while len(content) < length and (more := connection.recv(length - len(content))):
@@ -227,12 +227,12 @@ def _anonymous() -> int:
 
 
 class _Memory:
-    """Anonymous memory that is given to another process by its handle."""
+    """Anonymous memory that another process opens by its handle."""
 
     handle: int | None = None
 
     def make(self, shape: tuple[int, ...], dtype: str) -> np.ndarray:
-        """Make an array of zeros in it."""
+        """Make an array of zeros in the memory."""
         count = int(np.prod(shape))
         self.handle = _anonymous()
         size = max(count * np.dtype(dtype).itemsize, 1)
@@ -240,7 +240,7 @@ class _Memory:
         return np.frombuffer(mmap.mmap(self.handle, size), dtype, count).reshape(shape)
 
     def drop(self) -> None:
-        """Give it up."""
+        """Release the memory."""
         if self.handle is not None:
             os.close(self.handle)
 
@@ -249,7 +249,7 @@ MOST_NUMBERS = 1 << 20  # of all variables together
 
 
 def read_matlab(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Those of the named variables that the file has: arrays of numbers, cell arrays as object arrays of these.
+    """Read the named variables that the file has: arrays of numbers, cell arrays as object arrays of these.
 
     Shapes are MATLAB's (two axes at least). ValueError where it is no such file, is damaged, or holds one of the
     variables as something else (text, complex numbers, sparse matrices, cells in cells); FileNotFoundError;
@@ -267,7 +267,7 @@ def read_matlab(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def stored_numbers(file: BinaryIO, names: Sequence[str]) -> dict[str, tuple[tuple[int, ...], list]]:
-    """Shape and values of variables of an open file, in MATLAB's order; a cell is a shape and values in its turn.
+    """Read shape and values of variables of an open file, in MATLAB's order; a cell is nested likewise.
 
     Runs in the process that decodes. Errors of any kind where `read_matlab` raises ValueError.
     """

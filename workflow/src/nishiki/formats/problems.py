@@ -1,4 +1,4 @@
-"""What can be wrong with a capture, said so that the person at the camera can mend it."""
+"""Describe problems of a capture, with remedies for the person at the camera."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -10,15 +10,15 @@ from nishiki.errors import UserError, printable
 MOST_LISTED = 100
 """Problems of one kind in one file that are listed; those that follow hardly tell more."""
 MOST_NAMED = 5
-"""Files of further problems that are named in a line."""
+"""Maximum number of further files named in a line."""
 FEW, SEVERAL = 3, 8
-"""Problems of one kind that stand apart where their facts differ, and where their remedies do too."""
+"""Limits up to which problems of one kind with different facts, or also different remedies, are listed apart."""
 WHERE_IS_IT = "Correct the path; ./nishiki convert makes a capture of photographs, ./nishiki demo makes one to try"
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One finding. `kind` is a stable identifier; `file` is relative to the capture (with a row or page if known)."""
+    """One problem. `kind` is a stable identifier; `file` is relative to the capture (with a row or page if known)."""
 
     severity: Literal["error", "warning"]
     kind: str
@@ -49,17 +49,17 @@ class CaptureError(UserError):
 
 
 def error(kind: str, file: str, what: str, *, expected: str = "", found: str = "", remedy: str = "") -> Problem:
-    """Make a finding with which the capture cannot be used."""
+    """Make a problem that makes the capture unusable."""
     return Problem("error", kind, file, what, expected, found, remedy)
 
 
 def warning(kind: str, file: str, what: str, *, expected: str = "", found: str = "", remedy: str = "") -> Problem:
-    """Make a finding that the user should know of; the capture remains usable."""
+    """Make a problem to report to the user; the capture remains usable."""
     return Problem("warning", kind, file, what, expected, found, remedy)
 
 
 def refuse(kind: str, file: str, what: str, *, expected: str = "", found: str = "", remedy: str = "") -> NoReturn:
-    """Raise the CaptureError of one finding with which the capture cannot be used."""
+    """Raise the CaptureError of one problem that makes the capture unusable."""
     raise CaptureError(error(kind, file, what, expected=expected, found=found, remedy=remedy))
 
 
@@ -84,7 +84,7 @@ def error_text(sigma: float, decimals: int) -> str:
 
 
 def left_out(names: Sequence[object], file: str, what: str) -> list[Problem]:
-    """photograph-unlisted for pictures that are not taken over; what: which they are. Empty without names."""
+    """Make photograph-unlisted for omitted pictures; what: their description. Empty without names."""
     return [warning("photograph-unlisted", file, f"{what} were left out", found=name_some(names))] if names else []
 
 
@@ -114,7 +114,7 @@ def group_problems(problems: Iterable[Problem]) -> list[Problem]:
 
 
 def _join_problems(group: list[Problem]) -> Problem:
-    """Join several problems into one, with their number and what sets them apart: their files, or their facts."""
+    """Join several problems into one, with their number and the differences: their files, or their facts."""
     places = [p.file for p in group]
     if len(set(places)) < len(places):
         places = [p.what for p in group] if len({p.what for p in group}) == len(group) else [p.found for p in group]

@@ -1,4 +1,4 @@
-"""Relightable images as folders: `info.json` and pictures of coefficients, as relight writes and OpenLIME reads them.
+"""Read relightable images as folders: `info.json` and pictures of coefficients, of relight and for OpenLIME.
 
 Three coefficients a picture: value = (code / 255 - bias) scale, for values 0 to 1. In the colour space rgb the red,
 green and blue of each term follow each other; in lrgb the first picture is a colour (code / 255), and the terms are
@@ -28,7 +28,7 @@ from nishiki.threads import strips
 INFO = "info.json"
 BASIS = "materials.bin"
 LAYERS = re.compile(r"plane_\d+|materials|normals|albedo|height|depth|means?|medians?|error|thumbnail", re.IGNORECASE)
-"""Pictures that relight and viewers put into such a folder and are no photographs, without suffix."""
+"""Pictures of relight and viewers in such a folder that are no photographs, without suffix."""
 TABULATED = ("rbf", "bilinear")
 LEAST_WIDTH = 0.001  # of Gaussians and of the spans of components
 OFF_UNIT = 0.01  # of a light's length
@@ -57,7 +57,7 @@ class RelightFolder:
 
     @property
     def layout(self) -> str:
-        """What the folder is, for messages."""
+        """Description of the folder for messages."""
         return f"relight folder ({self.kind}, {self.colour_space}, {len(self.scale)} planes)"
 
     @property
@@ -66,7 +66,7 @@ class RelightFolder:
         return self.codes.shape[0], self.codes.shape[1]
 
     def shown(self, light: np.ndarray) -> np.ndarray:
-        """(rows, columns, 3) float32 from the top, for a unit vector to the lamp; full brightness is 1, not clipped."""
+        """Render (rows, columns, 3) float32 from the top for a unit lamp vector; full brightness is 1, not clipped."""
         light = np.asarray(light, float)
         picture = np.empty((*self.shape, 3), np.float32)
         offset, weights = self._transfer(light)
@@ -80,7 +80,7 @@ class RelightFolder:
         return picture
 
     def _transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """o (3,) and T (planes, 3): values are o + coefficients T; of lrgb those of the brightness."""
+        """Compute o (3,) and T (planes, 3): values are o + coefficients T; of lrgb those of the brightness."""
         if self.kind in TABULATED:
             directions = self.components.shape[1]
             gaussian = self.kind == "rbf"
@@ -101,12 +101,12 @@ class RelightFolder:
 
 
 def _terms(space: str, planes: int) -> int:
-    """Terms of rgb or lrgb in this many planes; 0 where they are no whole number."""
+    """Compute the terms of rgb or lrgb in this many planes; 0 where they are no whole number."""
     return planes - 3 if space == "lrgb" else planes // 3 * (planes % 3 == 0)
 
 
 def is_relight_folder(folder: Path) -> bool:
-    """Whether a folder holds a relightable image: `info.json` and its first plane."""
+    """Check whether a folder holds a relightable image: `info.json` and its first plane."""
     return (folder / INFO).is_file() and has_planes(folder)
 
 
@@ -167,7 +167,7 @@ def open_relight(folder: Path) -> RelightFolder:
 
 
 def _triples(info: dict[str, Any], name: str) -> tuple[int, int]:
-    """Planes of mycc, and how many of each of the two differences are among them."""
+    """Return the planes of mycc, and the number of each of the two differences among them."""
     planes = _numbers(info, "yccplanes", 3, name)
     brightness, first, second = planes.astype(int)
     if (planes != planes.astype(int)).any() or first != second or not 0 <= first <= brightness < 1 << 10:
@@ -190,7 +190,7 @@ def _basis(folder: Path, info: dict[str, Any], shape: tuple[int, ...], name: str
 
 
 def _components(basis: np.ndarray, spans: np.ndarray, triples: tuple[int, int] | None, name: str) -> np.ndarray:
-    """Mean and components as red, green and blue. Refused where a span is close to 0."""
+    """Compute mean and components as red, green and blue. Refused where a span is close to 0."""
     _expect_at_least(LEAST_WIDTH, "range", np.abs(spans).min(), name)
     values = np.concatenate([basis[:1] / 255, (basis[1:] - 127) / spans[:, None, None]])
     if triples is None:
@@ -218,7 +218,7 @@ def _whole(info: dict[str, Any], key: str, name: str) -> int:
 
 
 def _numbers(content: dict[str, Any], key: str, count: int | None, name: str) -> np.ndarray:
-    """Finite numbers of a list, or a single one; as many as expected, or threes of them."""
+    """Parse finite numbers of a list, or a single one; as many as expected, or multiples of three."""
     values = content.get(key)
     values = values if isinstance(values, list) else [values]
     sound = all(type(v) in (int, float) and abs(v) < 1e9 for v in values)  # neither NaN nor true
@@ -229,17 +229,17 @@ def _numbers(content: dict[str, Any], key: str, count: int | None, name: str) ->
 
 LEAST_WEIGHT = 0.001  # of a captured light, below which viewers leave it out
 FROM_YCOCG = np.array([[1.0, 0.5, -0.5], [1.0, 0.0, 0.5], [1.0, -0.5, -0.5]])
-"""Red, green and blue of brightness, R - B, and G - (R + B) / 2."""
+"""Matrix to red, green and blue from brightness, R - B, and G - (R + B) / 2."""
 
 
 def ptm_weights(lights: np.ndarray) -> np.ndarray:
-    """(n, 6) of unit vectors (n, 3): 1, x, y, x^2, x y, y^2."""
+    """Compute (n, 6) of unit vectors (n, 3): 1, x, y, x^2, x y, y^2."""
     x, y = lights[:, 0], lights[:, 1]
     return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
 
 
 def spherical_harmonics(lights: np.ndarray) -> np.ndarray:
-    """(n, 9) of unit vectors (n, 3), by degree and within it from order -l to l, without Condon's and Shortley's sign.
+    """Compute (n, 9) of unit vectors (n, 3), by degree, then order -l to l, without Condon's and Shortley's sign.
 
     That is the order in which relight fits them. OpenLIME 1.2 shows them with x and y exchanged.
     """
@@ -252,7 +252,7 @@ def spherical_harmonics(lights: np.ndarray) -> np.ndarray:
 
 
 def terms_of(kind: str, count: int) -> Callable[[np.ndarray], np.ndarray] | None:
-    """Return the function of ptm, hsh or sh with this many terms, of unit vectors (n, 3); None where there is none."""
+    """Return the basis function of ptm, hsh or sh with this many terms, of unit vectors (n, 3); None for others."""
     if kind == "hsh" and count in [order**2 for order in range(1, LARGEST_ORDER + 1)]:
         return lambda lights: hemispherical_harmonics(lights, math.isqrt(count))
     if kind == "ptm" and count in (3, 6):
@@ -261,7 +261,7 @@ def terms_of(kind: str, count: int) -> Callable[[np.ndarray], np.ndarray] | None
 
 
 def gaussian_weights(lights: np.ndarray, light: np.ndarray, width: float) -> np.ndarray:
-    """(lights,) of captured unit vectors (lights, 3) for one light, sum 1."""
+    """Compute weights (lights,) of captured unit vectors (lights, 3) for one light, sum 1."""
     squares = np.sum((lights - light) ** 2, axis=1)
     weights = np.exp(-(squares - squares.min()) / width**2)
     weights /= weights.sum()
@@ -270,7 +270,7 @@ def gaussian_weights(lights: np.ndarray, light: np.ndarray, width: float) -> np.
 
 
 def bilinear_weights(side: int, light: np.ndarray) -> np.ndarray:
-    """(side^2,) of a grid over the hemisphere for one unit vector with z >= 0, sum 1; at most four are not 0.
+    """Compute weights (side^2,) of a hemispherical grid for a unit vector with z >= 0, sum 1; at most four are not 0.
 
     The octahedral map, turned by 45 degrees: s = |x| + |y| + |z|; columns from (x + y) / s = -1 to 1, rows from
     (y - x) / s = -1 to 1, nodes at both ends.
@@ -286,7 +286,7 @@ def bilinear_weights(side: int, light: np.ndarray) -> np.ndarray:
 
 
 def grid_directions(side: int) -> np.ndarray:
-    """(side^2, 3) unit vectors of the nodes, in the order of `bilinear_weights`; those of the outermost have z = 0."""
+    """Compute unit vectors (side^2, 3) of the nodes, in the order of `bilinear_weights`; outermost ones have z = 0."""
     down, across = np.mgrid[:side, :side] * 2 / (side - 1) - 1
     x, y = ((across - down) / 2).ravel(), ((across + down) / 2).ravel()
     vectors = np.stack([x, y, np.maximum(1 - np.abs(x) - np.abs(y), 0)], axis=1)

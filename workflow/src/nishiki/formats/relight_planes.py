@@ -1,4 +1,4 @@
-"""Planes of a relightable image in a folder.
+"""Read planes of a relightable image in a folder.
 
 They are `plane_N.jpg`, a deep zoom, its tiles in one file (OpenLIME's tarzoom), or the tiles of webRTIViewer.
 
@@ -33,7 +33,7 @@ REMEDY = "Fit it again with relight as ptm, hsh, rbf or bilinear, or convert the
 
 
 def has_planes(folder: Path) -> bool:
-    """Whether the first plane lies in a folder, in one of the layouts that are read."""
+    """Check whether the first plane lies in a folder, in one of the supported layouts."""
     first = [f"plane_0{end}" for end in (".jpg", ".dzi", ".tzi")]
     return any((folder / name).is_file() for name in (*first, ALL_PLANES))
 
@@ -46,7 +46,7 @@ def within(folder: Path, name: str) -> Path:
 
 
 def read_plane(folder: Path, number: int, out: np.ndarray) -> list[str]:
-    """Fill (rows, columns, 3) from a picture or from the tiles of its full resolution; names of the files read.
+    """Fill (rows, columns, 3) from a picture or its tiles of full resolution; return names of the files read.
 
     Refused; CaptureError where a picture cannot be decoded.
     """
@@ -90,7 +90,7 @@ def _read_deep_zoom(folder: Path, name: str, out: np.ndarray) -> list[str]:
 
 
 def _read_joined_tiles(folder: Path, name: str, number: int, out: np.ndarray) -> list[str]:
-    """From the tiles in one file. number : of the plane among those that alternate in it."""
+    """Fill a plane from the tiles in one file. number : of the plane among those that alternate in it."""
     about, (rows, columns) = f"{folder.name}/{name}", out.shape[:2]
     try:
         index = json.loads(read_text(within(folder, name), "table_bytes", name=about))
@@ -138,7 +138,7 @@ def _read_joined_tiles(folder: Path, name: str, number: int, out: np.ndarray) ->
 
 
 def _fill(folder: Path, name: str, out: np.ndarray, margin: tuple[int, int] | None = None) -> None:
-    """Copy a picture into a window. margin : rows and columns before those of a tile; it may have more after them."""
+    """Copy a picture into a window. margin : rows and columns before those of a tile; more may follow after them."""
     about = f"{folder.name}/{name}"
     copy_plane(read_codes(within(folder, name), RGB, name=about), out, margin, about)
 
@@ -169,7 +169,7 @@ WEBRTI_REMEDY = "Convert the .ptm or .rti that it was made from, or the photogra
 
 
 def is_web_rti(folder: Path) -> bool:
-    """Whether a folder holds `info.xml` of a picture in tiles."""
+    """Check whether a folder holds `info.xml` of a picture in tiles."""
     try:
         return b"<MultiRes" in read_bytes(folder / WEB_INFO, "table_bytes")
     except (FileNotFoundError, Refused):
@@ -231,7 +231,7 @@ def _numbers(text: str | None, count: int) -> np.ndarray:
 
 
 def _places(tree: str, rows: int, columns: int) -> tuple[int, list[tuple[int, int, int]]]:
-    """Side of the tiles; node, row and column in the picture of each tile of the full resolution that shows some."""
+    """Return the side of the tiles; node, row and column of each visible tile of the full resolution."""
     lines = [line.split() for line in tree.strip().splitlines()]
     tile, side = int(lines[1][0]), int(lines[2][0])
     if (

@@ -37,12 +37,12 @@ RUN_AGAIN = "Run the stage that made it again"
 
 
 def chunk_path(array_folder: Path, light: int, band: int) -> Path:
-    """File of the chunk of one light and band of an array (lights, rows, columns, channels) chunked over both."""
+    """Return the file of one light and band of an array (lights, rows, columns, channels) chunked over both."""
     return array_folder / "c" / str(light) / str(band) / "0" / "0"
 
 
 def write_chunk(path: Path, values: np.ndarray, *, compression: str) -> None:
-    """Write one whole chunk of little-endian values. Raises OSError with the file's name where the disk lacks space."""
+    """Write one whole chunk of little-endian values. Raises OSError with the file's name where the disk is full."""
     bare = np.ascontiguousarray(values, values.dtype.newbyteorder("<")).reshape(-1).view(np.uint8)  # no copy
     payload: Any = bare
     if compression == "zstd":
@@ -90,7 +90,7 @@ def read_chunk(path: Path, shape: tuple, dtype: np.dtype, *, compression: str, c
 
 
 def _stated_size(start: bytes) -> int | None:
-    """Bytes that a zstd frame with these first bytes says it unpacks to (RFC 8878, 3.1.1.1); None if it does not."""
+    """Return the unpacked size in bytes from a zstd frame's first bytes (RFC 8878, 3.1.1.1); None if not stated."""
     if len(start) < 6:
         return None
     single, flag = start[4] >> 5 & 1, start[4] >> 6
@@ -103,7 +103,7 @@ METADATA = "zarr.json"
 
 @dataclass(frozen=True)
 class BandedArray:
-    """One array: any part of it is read; it is written in bands of whole rows, each a chunk.
+    """One array, any part of which can be read; it is written in bands of whole rows, each a chunk.
 
     folder; shape; chunks: shape of a chunk; dtype; compression: 'none' | 'zstd'; checksum: whether a CRC-32C ends each
     chunk; attrs: what is said of the array.
@@ -138,11 +138,11 @@ class BandedArray:
         return len(self.shape)
 
     def path(self, *place: int) -> Path:
-        """File of a chunk by its place in the grid; axes that are left out have one chunk."""
+        """Return the file of a chunk by its place in the grid; axes that are omitted have one chunk."""
         return self.folder.joinpath("c", *map(str, place), *["0"] * (self.ndim - len(place)))
 
     def places(self, ranges: Sequence[range] | None = None) -> Iterable[tuple[int, ...]]:
-        """Places in the grid of the chunks that hold these indices of each axis, or of all."""
+        """List grid places of the chunks that hold these indices of each axis, or of all."""
         spans = zip(ranges or map(range, self.shape), self.chunks, strict=True)
         return product(*(range(each.start // size, -(-each.stop // size) if each else 0) for each, size in spans))
 
@@ -196,27 +196,27 @@ def _within(parts: Sequence[tuple[int, int]], origin: Sequence[int]) -> tuple[sl
 
 
 class BandedGroup:
-    """Arrays in one folder, and what is said of them together: `attrs`, which only `update` changes, and writes."""
+    """Arrays in one folder and their common attributes: `attrs`, changed and written only by `update`."""
 
     def __init__(self, folder: Path | str):
-        """Open a group that is there."""
+        """Open an existing group."""
         self.folder = Path(folder)
         self.attrs: Mapping[str, Any] = MappingProxyType(read_json(self.folder / METADATA).get("attributes", {}))
 
     @classmethod
     def create(cls, folder: Path | str, attributes: dict[str, Any] | None = None) -> "BandedGroup":
-        """Create a group; FileExistsError where there is something."""
+        """Create a group; FileExistsError where the folder exists."""
         Path(folder).mkdir(parents=True)
         _write_group(Path(folder), attributes or {})
         return cls(folder)
 
     def update(self, **attributes: Any) -> None:
-        """Say more of the group."""
+        """Add attributes to the group."""
         self.attrs = MappingProxyType({**self.attrs, **attributes})
         _write_group(self.folder, dict(self.attrs))
 
     def names(self) -> list[str]:
-        """Names of its arrays."""
+        """List names of its arrays."""
         return sorted(path.parent.name for path in self.folder.glob(f"*/{METADATA}"))
 
     def __contains__(self, name: str) -> bool:
@@ -271,7 +271,7 @@ def _write(path: Path, node: dict[str, Any]) -> None:
 
 TYPES = frozenset("bool int8 int16 int32 int64 uint8 uint16 uint32 uint64 float16 float32 float64".split())
 PACKERS: tuple[list[str], ...] = ([], ["zstd"], ["crc32c"], ["zstd", "crc32c"])
-"""Codecs after `bytes`."""
+"""Allowed codecs after `bytes`."""
 OPTIONS = frozenset(("endian", "level", "checksum"))
 OLD = frozenset((".zarray", ".zgroup", ".zattrs", ".zmetadata"))
 REMEDY = "Run the stage that made it again; stores of other programs are not read"
@@ -305,7 +305,7 @@ def open_array(path: Path | str) -> BandedArray:
 
 
 def expect_store(path: Path) -> None:
-    """Raise UserError unless every node of a Zarr store is one that may be opened.
+    """Raise UserError unless every node of a Zarr store is safe to open.
 
     Checked are its size, type and codecs, and that it has no links; chunks when they are read. FileNotFoundError where
     there is no store.
@@ -327,7 +327,7 @@ def expect_store(path: Path) -> None:
 
 
 def _expect_node(folder: Path, chunks: int) -> None:
-    """Refused unless a node is a group or a plain array; chunks: number of its files."""
+    """Raise Refused unless a node is a group or a plain array; chunks: number of its files."""
     file = str(folder / METADATA)
     node = read_json(file)
     if node.get("zarr_format") != 3 or node.get("node_type") not in ("array", "group"):
@@ -364,7 +364,7 @@ def _expect_node(folder: Path, chunks: int) -> None:
 
 
 def load_arrays(path: Path | str | BytesIO, *, name: str | None = None) -> dict[str, np.ndarray]:
-    """Load an .npz; UserError: missing, damaged, pickled objects, or beyond what is read. name: for messages."""
+    """Load an .npz; UserError: missing, damaged, pickled objects, or beyond the bounds. name: for messages."""
     file = name or str(path)
     try:
         stream = path if isinstance(path, BytesIO) else os.fdopen(open_regular(path, file), "rb")
@@ -384,7 +384,7 @@ def load_arrays(path: Path | str | BytesIO, *, name: str | None = None) -> dict[
 
 
 def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
-    """One array, once its heading is known to claim no more than the member holds."""
+    """Read one array, once its heading claims no more than the member holds."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         read = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
@@ -399,7 +399,7 @@ def _member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
 
 @contextmanager
 def understood(where: Path | str) -> Iterator[None]:
-    """UserError in place of what entries that are missing or of a wrong kind make a reader stumble over."""
+    """Convert errors from missing or wrong entries of a store to UserError."""
     try:
         yield
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as error:
@@ -424,7 +424,7 @@ def tuples(value: Any) -> Any:
 
 
 class PlainFields:
-    """Offer a dataclass of numbers, words, tuples and float64 arrays as plain values."""
+    """Base of dataclasses of numbers, words, tuples and float64 arrays, with conversion to plain values."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return its fields by name, for JSON."""
@@ -443,7 +443,7 @@ class PlainFields:
 
 
 class ArrayFields:
-    """Offer a dataclass whose fields are arrays, numbers and words as arrays."""
+    """Base of dataclasses of arrays, numbers and words, with conversion to arrays."""
 
     def as_arrays(self) -> dict[str, np.ndarray]:
         """Return its fields by name."""

@@ -29,7 +29,7 @@ MISSING_FRAMES = "Write it, a row a photograph with its file and role, or make a
 
 @contextmanager
 def reading(name: str, kind: str) -> Iterator[None]:
-    """Tell what goes wrong in reading the file `name` as CaptureErrors KIND-missing and KIND-unreadable."""
+    """Convert errors of reading the file `name` to CaptureErrors KIND-missing and KIND-unreadable."""
     try:
         yield
     except FileNotFoundError as e:
@@ -45,12 +45,12 @@ def reading(name: str, kind: str) -> Iterator[None]:
 
 
 def refusal(e: Refused, kind: str) -> Problem:
-    """Report a file that is not read as a problem."""
+    """Convert the error of a rejected file to a problem."""
     return error(kind, e.file, e.what, expected=e.expected, found=e.found, remedy=e.remedy)
 
 
 def lines_of(content: bytes) -> Iterator[tuple[int, str]]:
-    """Lines that are neither empty nor comments (#), with their numbers from 1, without their ends."""
+    """Yield lines that are neither empty nor comments (#), with their numbers from 1, without their ends."""
     stream = io.TextIOWrapper(io.BytesIO(content), encoding="utf-8-sig")
     for number, line in enumerate(stream, start=1):
         if line.strip() and not line.lstrip().startswith("#"):
@@ -58,12 +58,12 @@ def lines_of(content: bytes) -> Iterator[tuple[int, str]]:
 
 
 def table_lines(path: Path, name: str, *, limit: str = "table_bytes") -> Iterator[tuple[int, str]]:
-    """Lines of a table file, see `lines_of`; to be used inside `reading`."""
+    """Yield lines of a table file, see `lines_of`; to be used inside `reading`."""
     return lines_of(read_bytes(path, limit, name=name))
 
 
 def table_rows(path: Path, name: str, *, limit: str = "table_bytes") -> Iterator[tuple[int, list[str]]]:
-    """Cells of each line of a table, without blanks around them, with the line's number; to be used inside `reading`.
+    """Yield cells of each line of a table, stripped, with the line's number; to be used inside `reading`.
 
     The heading tells: commas separate its cells, or semicolons or tabs where it has more of these. Numbers may then
     have decimal commas, which become points. A first line `sep=;`, which spreadsheets write, is passed over.
@@ -72,7 +72,7 @@ def table_rows(path: Path, name: str, *, limit: str = "table_bytes") -> Iterator
 
 
 def cells_of(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, list[str]]]:
-    """Cells of numbered lines, see `table_rows`."""
+    """Yield cells of numbered lines, see `table_rows`."""
     first = next(lines, None)
     if first is not None and SEPARATOR.fullmatch(first[1]):
         first = next(lines, None)
@@ -86,7 +86,7 @@ def cells_of(lines: Iterator[tuple[int, str]]) -> Iterator[tuple[int, list[str]]
 
 
 def number_of(cell: str) -> float:
-    """Read a number; NaN where the cell holds none."""
+    """Parse a number; NaN where the cell holds none."""
     try:
         return float(cell)
     except ValueError:
@@ -94,7 +94,7 @@ def number_of(cell: str) -> float:
 
 
 def expect_rows(count: int, limit: str, name: str, kind: str) -> None:
-    """CaptureError (KIND-many) where a table has more rows or columns than its bound."""
+    """Raise CaptureError (KIND-many) where a table has more rows or columns than its bound."""
     if count > bound(limit):
         expected, found = f"at most {bound(limit)} {limit.rpartition('_')[2]}", f"{count} or more"
         what = "table is larger than is read"
@@ -102,23 +102,23 @@ def expect_rows(count: int, limit: str, name: str, kind: str) -> None:
 
 
 def label_problems(name: str, what: str, where: str) -> list[Problem]:
-    """name-unusable where the name of a view, light or region cannot be part of a file name; '' is no name."""
+    """List name-unusable where the name of a view, light or region cannot be part of a file name; '' is no name."""
     if not name or is_label(name):
         return []
     return [error("name-unusable", where, f"name of a {what}", found=repr(name[:60]), remedy=LABEL)]
 
 
 LONG_NUMBER = re.compile(r"[-+]?[0-9][xb]?[0-9a-f_:]{256,}", re.IGNORECASE)
-"""Whole numbers in notations that Python reads in any length, and which it refuses to write out."""
+"""Integers in notations that Python parses at any length, but refuses to print."""
 SafeLoader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
 class NotPlain(yaml.MarkedYAMLError):
-    """YAML that is not plain data, or too much of it."""
+    """YAML that is not plain data, or too large."""
 
 
 def load_plain(text: str, loader: type = SafeLoader) -> Any:
-    """Parse a YAML text. yaml.YAMLError where it is not plain YAML: `problem` says why, `problem_mark` where.
+    """Parse a YAML text. yaml.YAMLError where it is not plain YAML: `problem` is the reason, `problem_mark` the place.
 
     loader: a safe loader of the YAML library, or one derived from it.
     """
@@ -131,7 +131,7 @@ def load_plain(text: str, loader: type = SafeLoader) -> Any:
 
 
 def _look_through(text: str) -> None:
-    """Every event of the parser, before anything is built from them."""
+    """Check every event of the parser, before anything is built from them."""
     depth = values = 0
     for event in yaml.parse(text, Loader=SafeLoader):
         values += 1

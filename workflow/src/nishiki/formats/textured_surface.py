@@ -1,4 +1,4 @@
-"""A textured mesh and a dielectric as formats of scenes know them, binary glTF 2.0 (Khronos) and PLY with textures.
+"""Write a textured mesh and a dielectric in formats of scenes, binary glTF 2.0 (Khronos) and PLY with textures.
 
 Light is reflected diffusely by a base under a lobe of Trowbridge and Reitz with alpha = roughness^2. Its reflectance is
 F0 along the normal and 1 at grazing light, so that an index of refraction n = (1 + sqrt F0) / (1 - sqrt F0) says it.
@@ -23,7 +23,7 @@ from nishiki.installation import optional
 
 @dataclass(frozen=True)
 class TexturedMesh:
-    """Triangles with places in a texture."""
+    """Triangles with texture coordinates."""
 
     positions: np.ndarray  # positions, normals: (n, 3) ndarray: of the vertices, metres and unit vectors
     normals: np.ndarray
@@ -51,14 +51,14 @@ class SurfaceLook:
 
     @property
     def mean_index(self) -> float:
-        """Index of refraction of the reflectance with the mean of its weights, those of metals left out."""
+        """Index of refraction of the reflectance with the mean of its weights, without metals."""
         if self.weight is None:
             return self.index
         weights = self.weight[self.metallic == 0] if isinstance(self.metallic, np.ndarray) else self.weight
         return index_of(self.reflectance * float(weights.mean()) / 255)
 
     def pictures(self) -> dict[str, np.ndarray]:
-        """Return the textures that there are, (rows, columns, 3), by the name of their file without suffix.
+        """Return the existing textures, (rows, columns, 3), by the name of their file without suffix.
 
         Single values are repeated in three channels: programs read pictures of one channel differently.
         """
@@ -72,7 +72,7 @@ class SurfaceLook:
 
 
 def index_of(reflectance: float) -> float:
-    """Index of refraction of a dielectric with this reflectance along the normal, at most 199."""
+    """Compute the index of refraction of a dielectric with this reflectance along the normal, at most 199."""
     root = min(float(np.sqrt(reflectance)), 0.99)
     return (1 + root) / (1 - root)
 
@@ -84,14 +84,14 @@ _TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 @dataclass
 class Glb:
-    """A glTF file that grows: each part is named by its number."""
+    """glTF file under construction: each part is referenced by its number."""
 
     content: dict[str, list[Any]] = field(default_factory=dict)
     binary: bytearray = field(default_factory=bytearray)
     extensions: set[str] = field(default_factory=set)
 
     def add(self, kind: str, **values: Any) -> int:
-        """Add an object to one of the file's lists (`materials`, `nodes`, ..); its number."""
+        """Add an object to one of the file's lists (`materials`, `nodes`, ..); return its number."""
         entries = self.content.setdefault(kind, [])
         entries.append({name: value for name, value in values.items() if value is not None})
         return len(entries) - 1
@@ -132,7 +132,7 @@ class Glb:
         return self._texture(bufferView=self.view(picture), mimeType=mime)
 
     def texture_beside(self, uri: str) -> int:
-        """Add a texture of a picture that is a file beside this one."""
+        """Add a texture stored as a file beside this one."""
         return self._texture(uri=uri)
 
     def _texture(self, **image: Any) -> int:
@@ -176,14 +176,14 @@ def heading(count: int, triangles: int) -> bytes:
 
 
 def vertices(places: np.ndarray, normals: np.ndarray, texture: np.ndarray) -> bytes:
-    """Vertices: places and unit normals (v, 3), places in the texture (v, 2), 0 to 1."""
+    """Encode vertices: places and unit normals (v, 3), texture coordinates (v, 2), 0 to 1."""
     points = np.empty(len(places), VERTEX)
     points["place"], points["normal"], points["texture"] = places, normals, texture
     return points.tobytes()
 
 
 def faces(triangles: np.ndarray) -> bytes:
-    """Triangles (t, 3), numbers of vertices."""
+    """Encode triangles (t, 3), numbers of vertices."""
     corners = np.empty(len(triangles), FACE)
     corners["count"], corners["corner"] = 3, triangles
     return corners.tobytes()
@@ -196,11 +196,11 @@ INPUTS = {
     "normals": ("geometry_normal", "vector3"),
     "metallic": ("base_metalness", "float"),
 }
-"""Of each texture the input of the surface that it feeds, and the type of its values."""
+"""Surface input of each texture, and the type of its values."""
 
 
 def write_materialx(path: Path, look: SurfaceLook, *, facts: Mapping[str, Any]) -> list[str]:
-    """Write the document and its textures; the names of the files, relative to the document's folder.
+    """Write the document and its textures; return the files' names relative to the document's folder.
 
     facts: what the document says of its making.
 
@@ -267,13 +267,13 @@ def _set(surface: Any, name: str, value: float) -> None:
 ROOT = "/surface"
 READER = f"{ROOT}/material/places"
 DATE = time.mktime((1980, 1, 2, 0, 0, 0, 0, 0, -1))
-"""Of all files in a package, so that the same results give the same bytes."""
+"""Date of all files in a package, so that equal results give equal bytes."""
 CHANNELS = {"colour": "rgb", "roughness": "r", "normals": "rgb", "metallic": "r"}
-"""Textures that the material has, and what it takes of each."""
+"""Textures of the material, with the channels used of each."""
 
 
 def write_usdz(path: Path, mesh: TexturedMesh, look: SurfaceLook, *, name: str, facts: Mapping[str, Any]) -> None:
-    """Write a package: y is up, the unit is the metre. Of the look's weights it takes the mean.
+    """Write a package: y is up, the unit is the metre. The look's weights are averaged.
 
     facts: stand in the layer's `customLayerData`.
 

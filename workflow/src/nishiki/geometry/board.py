@@ -13,7 +13,7 @@ LEAST_CORNERS = 4  # of a pose
 
 @dataclass(frozen=True)
 class BoardShape:
-    """Describe a board."""
+    """A ChArUco board."""
 
     squares_x: int  # squares_x, squares_y: counts
     squares_y: int
@@ -24,7 +24,7 @@ class BoardShape:
 
 @dataclass(frozen=True)
 class BoardCorners:
-    """Hold the inner corners of the board in one picture."""
+    """The inner corners of the board in one picture."""
 
     name: str
     ids: np.ndarray  # (n,) int
@@ -34,7 +34,7 @@ class BoardCorners:
 
 @dataclass(frozen=True)
 class Detection:
-    """Hold the boards found."""
+    """The boards found."""
 
     pictures: tuple[BoardCorners, ...]  # those with at least 4 corners
     unseen: tuple[str, ...]  # names of those without
@@ -42,7 +42,7 @@ class Detection:
 
 
 def board_of(shape: BoardShape, *, legacy: bool = False):
-    """OpenCV's board. UserError where the dictionary is unknown or the lengths cannot be."""
+    """Make OpenCV's board. UserError where the dictionary is unknown or the lengths are impossible."""
     import cv2
 
     aruco = cv2.aruco
@@ -65,7 +65,7 @@ def board_of(shape: BoardShape, *, legacy: bool = False):
 
 
 def detect_boards(pictures: Iterable[tuple[str, np.ndarray]], shape: BoardShape) -> Detection:
-    """Corners in pictures (name, (rows, columns) uint8), one picture in memory at a time.
+    """Find the corners in pictures (name, (rows, columns) uint8), one picture in memory at a time.
 
     Both layouts of the markers are tried; the one that finds more corners over all pictures stands.
     """
@@ -112,7 +112,7 @@ STARTS = (0.8, 1.5, 3.0, 8.0)  # focal lengths, of the picture's longer side
 
 @dataclass(frozen=True)
 class Calibration(PlainFields):
-    """Hold a calibrated lens: intrinsics (3, 3) float64, distortion k1, k2, p1, p2, k3 (Brown's model)."""
+    """A calibrated lens: intrinsics (3, 3) float64, distortion k1, k2, p1, p2, k3 (Brown's model)."""
 
     intrinsics: np.ndarray
     distortion: tuple[float, ...]

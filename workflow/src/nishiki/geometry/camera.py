@@ -33,7 +33,7 @@ class Camera(PlainFields):
 
     @classmethod
     def from_matrix(cls, name: str, matrix: np.ndarray, *, rows: int, columns: int) -> "Camera":
-        """Camera of a 3x4 projection matrix (any scale and sign), by RQ decomposition.
+        """Make the camera of a 3x4 projection matrix (any scale and sign), by RQ decomposition.
 
         Raises UserError where the matrix is not 3x4, not finite, or its left 3x3 part is singular.
         """
@@ -67,7 +67,7 @@ class Camera(PlainFields):
         return -self.rotation.T @ self.translation
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Pixels (n, 2) (column, row) and depths (n,) of world points (n, 3), float64.
+        """Compute pixels (n, 2) (column, row) and depths (n,) of world points (n, 3), float64.
 
         Points at or behind the camera have depth <= 0 and pixels that mean nothing. A depth that is rounding of the sum
         it comes from (below 1e-12 of its terms) is 0.
@@ -134,7 +134,7 @@ def look_at(
 
 @dataclass(frozen=True)
 class GivenCameras:
-    """Hold given cameras."""
+    """Given cameras."""
 
     cameras: tuple[Camera, ...]  # in the order given
     mirror: tuple[int, int, int] | None  # factors on the world's axes, None where the world stands as given
@@ -143,7 +143,7 @@ class GivenCameras:
 
 
 def cameras_of_matrices(matrices: Mapping[str, np.ndarray], *, rows: int, columns: int) -> GivenCameras:
-    """Cameras of projection matrices (3, 4) by view, of any scale and sign.
+    """Make the cameras of projection matrices (3, 4) by view, of any scale and sign.
 
     A matrix fixes its camera up to the sign of the depth; a proper rotation settles the sign. If then the point that
     all views look at lies behind all of them, the matrices describe a mirrored world (self-calibrations of a turntable

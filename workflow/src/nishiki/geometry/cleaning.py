@@ -1,4 +1,4 @@
-"""Meshes as they come from elsewhere, made sound: what was wrong is counted, nothing is moved."""
+"""Clean meshes from elsewhere: defects are mended and counted, nothing is moved."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from nishiki.geometry.visibility import rasterise
 
 @dataclass(frozen=True)
 class Defects(PlainFields):
-    """Count the repairs of `clean`.
+    """Counts of the repairs of `clean`.
 
     merged_vertices: at the same place as another; degenerate: triangles without area or with a corner twice;
     duplicates: triangles on the same three vertices as another; crowded_edges: edges of more than two triangles,
@@ -74,7 +74,7 @@ def merge_equal(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray
 
 
 def without_degenerate(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int]:
-    """Triangles with an area above rounding (relative to their longest side) and three different corners."""
+    """Select triangles with an area above rounding (relative to their longest side) and three different corners."""
     twice = np.linalg.norm(face_vectors(vertices, triangles), axis=1)
     corners = vertices[triangles]
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -87,7 +87,7 @@ def without_degenerate(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.
 
 
 def without_crowded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """Triangles such that no edge has more than two: the larger ones stay. Also the edges and the triangles."""
+    """Keep the larger triangles so that no edge has more than two; also count those edges and the triangles removed."""
     edges, owners, counts = _edges(triangles)
     crowded = int((counts > 2).sum())
     if not crowded:
@@ -104,14 +104,14 @@ def without_crowded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.nda
 
 
 def _edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(3 f,) number of the edge of each triangle side, (3 f,) its triangle, and (e,) how many triangles it has."""
+    """Index each triangle side by its edge (3 f,), with its triangle (3 f,), and count each edge's triangles (e,)."""
     sides = np.sort(np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)]), axis=1)
     number = row_numbers(sides)
     return number, np.tile(np.arange(len(triangles)), 3), np.bincount(number)
 
 
 def _neighbours(triangles: np.ndarray):
-    """Pairs of triangles (p,), (p,) that share an edge, and whether both run along it in the same sense (p,)."""
+    """Find pairs of triangles (p,), (p,) that share an edge, and whether both run along it in the same sense (p,)."""
     number, owners, _ = _edges(triangles)
     forward = np.concatenate([triangles[:, k] < triangles[:, (k + 1) % 3] for k in range(3)])
     order = np.argsort(number, kind="stable")
@@ -184,7 +184,7 @@ def split_touching(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
 
 
 def outwards(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]) -> tuple[np.ndarray, int]:
-    """Triangles of parts turned inside out the other way round, and how many parts were."""
+    """Turn the triangles of parts that are inside out, and count these parts."""
     parts, mine = parts_of(triangles, len(vertices))
     normals = face_vectors(vertices, triangles)
     middle = vertices[triangles].mean(axis=1)
@@ -204,7 +204,7 @@ def outwards(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera])
 
 
 def facing(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]) -> np.ndarray:
-    """(f,) float64: pixels that show each triangle's face less those that show its back, over up to 12 cameras."""
+    """Count the pixels of each triangle's face less those of its back (f,) float64, over up to 12 cameras."""
     mesh = Mesh.of(vertices, triangles)
     normals, middle = face_vectors(vertices, triangles), vertices[triangles].mean(axis=1)
     total = np.zeros(len(triangles))

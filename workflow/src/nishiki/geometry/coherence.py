@@ -1,4 +1,4 @@
-"""Coherence of silhouettes and cameras, and the mistake that explains its absence.
+"""Measure the coherence of silhouettes and cameras, and find the mistake that explains its absence.
 
 The visual hull of all silhouettes holds the object, and the line of sight of every outline pixel touches the object. So
 each of these lines meets the hull of the other views, whatever the shape of the object (Hernández, Schmitt and Cipolla,
@@ -48,7 +48,7 @@ BORDER_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Correction:
-    """What would remove a contradiction."""
+    """A correction that would remove a contradiction."""
 
     # "turn-reversed", "cameras-order", "views-exchanged", "pictures-mirrored", "camera-scale", "focal-length", "turn-
     # angles", "silhouette-inverted" or "view-contradicts"
@@ -60,7 +60,7 @@ class Correction:
 
 @dataclass(frozen=True)
 class Coherence:
-    """State whether silhouettes and cameras agree."""
+    """Agreement of silhouettes and cameras."""
 
     # mean over the views of `by_view`, the share of each outline that misses the hull of the other views
     contradiction: float
@@ -71,7 +71,7 @@ class Coherence:
 
 @dataclass(frozen=True)
 class Trial:
-    """Hold a correction."""
+    """A correction to try."""
 
     correction: Correction
     order: tuple[int, ...] | None = None  # (silhouette of each camera), cameras, silhouettes
@@ -80,7 +80,7 @@ class Trial:
 
 
 def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera], *, misses: int = 0) -> Coherence:
-    """Contradiction between silhouettes, (rows, columns) bool, one a camera, and the mistake that explains it.
+    """Measure how silhouettes, (rows, columns) bool, one a camera, contradict; find the mistake that explains it.
 
     misses: views that may wrongly see background at a point; a shadow of the object looks like a dark background.
 
@@ -195,7 +195,7 @@ class Outlines:
         return box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]) / 2)
 
     def contradiction(self, trial: Trial, rays: int = RAYS) -> float:
-        """Mean of `miss_shares` over the views that take part."""
+        """Average `miss_shares` over the views that take part."""
         shares = self.miss_shares(trial.order, trial.cameras, without=trial.without, rays=rays)
         return float(shares.sum() / (len(shares) - len(trial.without)))
 
@@ -229,7 +229,7 @@ def _scale_turn(cameras: list[Camera], factor: float) -> list[Camera] | None:
 
 
 def _orders(outlines: Outlines) -> list[Trial]:
-    """Photographs in another order than the cameras: backwards, sorted as text, begun elsewhere."""
+    """List trials of photographs in another order than the cameras: backwards, sorted as text, begun elsewhere."""
     places = list(range(len(outlines.cameras)))
     as_text = [[place for _, place in sorted((str(place + first), place) for place in places)] for first in (0, 1)]
     orders = [places[::-1], *as_text, *(np.argsort(order).tolist() for order in as_text)]
@@ -239,7 +239,7 @@ def _orders(outlines: Outlines) -> list[Trial]:
 
 
 def _exchanges(outlines: Outlines) -> list[Trial]:
-    """Two views exchanged: neighbours, and pairs of the views without which the others agree best."""
+    """List trials of two views exchanged: neighbours, and pairs of the views without which the others agree best."""
     count = len(outlines.cameras)
     alone = [outlines.contradiction(Trial(Correction(""), without=(i,)), SCREENING_RAYS) for i in range(count)]
     likely = sorted(np.argsort(alone, kind="stable")[:LIKELY].tolist())
@@ -252,7 +252,7 @@ def _exchanges(outlines: Outlines) -> list[Trial]:
 
 
 def _mirrors(outlines: Outlines) -> list[Trial]:
-    """All pictures mirrored, or turned by half a turn."""
+    """List trials of all pictures mirrored, or turned by half a turn."""
     return [
         Trial(Correction("pictures-mirrored", detail), cameras=[_mirror(camera, axes) for camera in outlines.cameras])
         for detail, axes in (("left to right", (0,)), ("top to bottom", (1,)), ("turned by half a turn", (0, 1)))
@@ -299,7 +299,7 @@ def _odd_views(outlines: Outlines) -> list[Trial]:
 
 
 def _reduce(mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
-    """Silhouette and camera of a picture whose longer side has at most 320 pixels."""
+    """Reduce a silhouette and its camera to a picture of at most 320 pixels on its longer side."""
     import cv2
 
     factor = LONGEST_SIDE / max(mask.shape)
@@ -311,7 +311,7 @@ def _reduce(mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
 
 
 def _outline_pixels(mask: np.ndarray) -> np.ndarray:
-    """(n, 2) float64 column, row of the outermost pixels of a mask; those on the picture's border are no outline."""
+    """Find column, row (n, 2) float64 of a mask's outermost pixels; those on the picture's border are no outline."""
     import cv2
 
     kernel = np.ones((3, 3), np.uint8)

@@ -1,4 +1,4 @@
-"""Fewer triangles for the same surface: edges collapsed in the order of the error that this makes.
+"""Reduce the triangles of a surface: collapse edges in the order of the error that this makes.
 
 M. Garland and P. S. Heckbert, Surface simplification using quadric error metrics, SIGGRAPH 1997. Quadrics are weighted
 by area. A collapse must keep the surface a surface (the edge's two ends share no neighbours but the two opposite
@@ -34,7 +34,7 @@ def _plane(a, b, c, out):
 
 @njit(**JIT)
 def _best(first, second, a, b, out):
-    """Place (into out) of smallest error for the sum of two quadrics, drawn weakly to the middle of a and b; error."""
+    """Find the place (into out) of least error of two summed quadrics, drawn weakly to the middle of a and b; error."""
     q = np.empty(10)
     for k in range(10):
         q[k] = first[k] + second[k]
@@ -56,7 +56,7 @@ def _best(first, second, a, b, out):
 
 @njit(**JIT)
 def _gather(vertex, head, following, faces, alive, marks, stamp, ring):
-    """Neighbours of a vertex into ring, marked with stamp; their number, and forgets dead triangles in its list."""
+    """Gather a vertex's neighbours into ring, marked with stamp; return their number, and unlist its dead triangles."""
     count, previous, node = 0, -1, head[vertex]
     while node >= 0:
         face = node // 3
@@ -142,14 +142,14 @@ def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray
 
 
 def _quadrics(normals: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """(10, n): weight (n . (x - point))^2 as the numbers xx xy xz yy yz zz, x y z, constant of planes (n,)."""
+    """Compute weight (n . (x - point))^2 of planes (n,) as xx xy xz yy yz zz, x y z, constant: (10, n)."""
     plane = np.concatenate([normals.T, -(normals * points).sum(axis=1)[None]])
     return weights * plane[[0, 0, 0, 1, 1, 2, 0, 1, 2, 3]] * plane[[0, 1, 2, 1, 2, 2, 3, 3, 3, 3]]
 
 
 @njit(**JIT)
 def _collapse(vertices, faces, target, quadrics, lists, edges):
-    """Collapse as `collapse` says; lists: first node of each vertex, and the node that follows."""
+    """Collapse as in `collapse`; lists: first node of each vertex, and the node that follows."""
     (head, following), count = lists, vertices.shape[0]
     alive = np.ones(faces.shape[0], np.bool_)
     version, marks = np.zeros(count, np.int64), np.full(count, -1)

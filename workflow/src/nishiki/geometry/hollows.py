@@ -1,4 +1,4 @@
-"""Hollows that no outline shows: regions of a visual hull that the photographs contradict are sunk.
+"""Sink hollows that no outline shows: regions of a visual hull that the photographs contradict.
 
 Object, camera and lamp: on a turntable the lamp keeps its place beside the camera, so every view of a surface point is
 a photograph under another lamp. A matt point shows (Woodham, Photometric method for determining surface orientation
@@ -28,35 +28,35 @@ from nishiki.geometry.visibility import interpolate, rasterise
 RELATIVE_ERROR, ERROR = 0.02, 0.005
 """Deviation of a matt point from the model: part of its value, and of the object's bright values."""
 LARGEST = 16.0
-"""Squared error from which a view counts no more, in squared deviations; what a point counts that few views see."""
+"""Cap of a view's squared residual, in squared deviations; also used for points seen in too few views."""
 CONTRADICTED, OF_LOWER_QUARTILE = 7.0, 4.0
 """Residual above which a place is contradicted, also in lower quartiles of the whole surface: the mouth of a bowl is
 half of all that is seen, and raises the median."""
 PATCH_ROUNDS = 20
 """Averages of the residual over neighbouring vertices before it is judged."""
 SMALLEST_REGION = 0.015
-"""Vertices of a region, of all, below which it stays: shadows contradict small places too."""
+"""Share of all vertices below which a region stays: shadows contradict small places too."""
 IMPROVEMENT = 0.7
-"""Residual of a region, of that before, above which it stays as it was."""
+"""Ratio of a region's residual to that before, above which the region stays as it was."""
 FEWEST_VIEWS, MOST_VIEWS = 5, 14
 LEAST_COSINE = 0.25  # of a view with the normal
 FINEST_SIZE_PX = 100
 """Root of the silhouette's area to which photographs are shrunk."""
 WIDTHS = (1.0, 0.75, 0.6)
-"""Parts of the limit above which what adjoins a contradicted place is tried as part of its region: towards its rim a
+"""Parts of the limit above which neighbours of a contradicted place are tried as part of its region: towards its rim a
 hollow is shallow, and there the residual falls."""
 DEPTHS = np.linspace(0.1, 0.94, 6)
-"""Of the object's extent along the direction; tried with steepness 1 for each candidate region."""
+"""Depths as parts of the object's extent along the direction; tried with steepness 1 for each candidate region."""
 STEEPNESSES, NEARBY = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0), (0.75, 1.0, 1.3)
-"""Then tried together for the best region: steepness, and depth over the best of those."""
+"""Steepnesses, and depths over the best of DEPTHS; tried together for the best region."""
 SHIFT_ROUNDS = 10
-"""Averages over neighbouring vertices of what moves a finer mesh: steps between the coarse mesh's vertices would take
+"""Averages of a finer mesh's shift over neighbouring vertices: steps between the coarse mesh's vertices would take
 five times the triangles."""
 
 
 @dataclass(frozen=True)
 class Photographed:
-    """Hold photographs of an object for `residuals`."""
+    """Photographs of an object for `residuals`."""
 
     # (views, rows, columns, channels) float32, linear, 1 where the object is bright; cameras at that size
     pictures: np.ndarray
@@ -65,7 +65,7 @@ class Photographed:
 
     @classmethod
     def of(cls, pictures: Iterable[np.ndarray], silhouettes: list[np.ndarray], cameras: list[Camera]) -> "Photographed":
-        """From linear pictures (rows, columns, channels) and silhouettes (rows, columns) bool at the cameras' size."""
+        """Prepare linear pictures (rows, columns, channels), silhouettes (rows, columns) bool, at the cameras' size."""
         import cv2
 
         area = np.mean([silhouette.sum() for silhouette in silhouettes])
@@ -85,7 +85,7 @@ class Photographed:
         return cls(values / np.float32(max(bright, 1e-9)), small, shown)
 
     def inside(self, points: np.ndarray) -> bool:
-        """Whether all points (n, 3) project into all silhouettes, or within a pixel of them."""
+        """Check whether all points (n, 3) project into all silhouettes, or within a pixel of them."""
         import cv2
 
         for camera, silhouette in zip(self.cameras, self.silhouettes, strict=True):
@@ -97,7 +97,7 @@ class Photographed:
         return True
 
     def residuals(self, depths: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """(n,) mean robust squared residual of points in the views that see them; -1 where too few do."""
+        """Compute the mean robust squared residual (n,) of points in the views that see them; -1 where too few do."""
         import cv2
         from scipy.spatial.distance import cdist
 
@@ -152,7 +152,7 @@ def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: Photographed) -> tuple[
 
 
 def contradicted_regions(mesh: Mesh, photographed: Photographed) -> list[list[np.ndarray]]:
-    """Vertices (v,) bool of each large region in which no matt point fits the photographs, the largest first.
+    """List vertices (v,) bool of each large region where no matt point fits the photographs, the largest first.
 
     Each as several candidates, one for each of WIDTHS, the narrowest first.
     """
@@ -186,7 +186,7 @@ def connected(vertices: np.ndarray, near) -> list[np.ndarray]:
 
 
 def neighbourhoods(mesh: Mesh):
-    """(v, v) sparse: mean of each vertex and its neighbours."""
+    """Make the matrix (v, v), sparse, that averages each vertex and its neighbours."""
     from scipy.sparse import diags_array, eye_array
 
     joined = linked(mesh) + eye_array(len(mesh.vertices))
@@ -226,7 +226,7 @@ class Hollow:
 
     @classmethod
     def of(cls, mesh: Mesh, region: np.ndarray) -> "Hollow":
-        """Along the mean of the region's inward normals."""
+        """Make a hollow that sinks along the mean of the region's inward normals."""
         direction = -mesh.normals[region].sum(axis=0).astype(np.float64)
         profile = profile_of(region, neighbourhoods(mesh))
         return cls(region, profile, direction / max(np.linalg.norm(direction), 1e-12))
@@ -265,7 +265,7 @@ def sink(mesh: Mesh, regions: list[np.ndarray], photographed: Photographed) -> t
 
 
 class Shown:
-    """Draw a mesh in all views while only a region (v,) bool of it moves; the rest is drawn once."""
+    """A mesh drawn in all views while only a region (v,) bool of it moves; the rest is drawn once."""
 
     def __init__(self, mesh: Mesh, region: np.ndarray, photographed: Photographed):
         self.photographed, self.triangles = photographed, mesh.triangles
@@ -279,7 +279,7 @@ class Shown:
         self.drawn = self.draw(mesh)
 
     def draw(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Triangle (pixels,), weights (pixels, 2) and depth (rows, columns) of each view of the moved mesh."""
+        """Draw triangle (pixels,), weights (pixels, 2) and depth (rows, columns) of each view of the moved mesh."""
         part, views = Mesh(mesh.vertices[self.used], self.local, mesh.normals[self.used]), []
         for camera, still in zip(self.photographed.cameras, self.still, strict=True):
             moved = rasterise(part, camera)
@@ -290,12 +290,12 @@ class Shown:
         return views
 
     def pixels_of(self, region: np.ndarray) -> dict[int, np.ndarray]:
-        """Flat indexes of every third pixel in which every third view shows a region: the same for all candidates."""
+        """Find flat indexes of every third pixel showing a region in every third view: the same for all candidates."""
         inside = np.append(region[self.triangles].all(axis=1), False)
         return {view: np.flatnonzero(inside[self.drawn[view][0]])[::3] for view in range(0, len(self.drawn), 3)}
 
     def residual(self, mesh: Mesh, pixels: dict[int, np.ndarray]) -> float:
-        """Mean residual of what these pixels show of a mesh; a point that few views see counts as contradicted."""
+        """Average the residual of a mesh over these pixels; a point that few views see counts as contradicted."""
         points, normals, views = [], [], self.draw(mesh)
         for view, places in pixels.items():
             triangle, weights = views[view][0][places], views[view][1][places]
@@ -309,7 +309,7 @@ class Shown:
 
 
 def matt_residuals(values: np.ndarray, towards: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Mean robust squared residual (n,) of I = b . l over the views that see a point; three rounds of weights.
+    """Average the robust squared residual (n,) of I = b . l over the views that see a point; three rounds of weights.
 
     values (n, views, channels), towards (n, views, 3), seen (n, views) bool.
     """

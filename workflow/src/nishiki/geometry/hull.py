@@ -29,7 +29,7 @@ MARGIN_PX = 3
 
 @dataclass(frozen=True)
 class Field:
-    """Hold silhouettes of several views as signed distances, laid out as `nishiki.geometry.hull_kernels` says."""
+    """Silhouettes of several views as signed distances, laid out as in `nishiki.geometry.hull_kernels`."""
 
     poses: np.ndarray
     lenses: np.ndarray
@@ -38,7 +38,7 @@ class Field:
 
     @staticmethod
     def geometry_of(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
-        """`poses` and `lenses` of cameras."""
+        """Return `poses` and `lenses` of cameras."""
         poses = [np.column_stack([camera.rotation, camera.translation]).ravel() for camera in cameras]
         lenses = []
         for camera in cameras:
@@ -50,7 +50,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Hull:
-    """Hold a visual hull."""
+    """A visual hull."""
 
     mesh: Mesh  # surface of the hull
     cell: float  # side of a grid cell, world's unit
@@ -59,7 +59,7 @@ class Hull:
 
 
 def signed_distance(silhouette: np.ndarray) -> np.ndarray:
-    """(rows, columns) float32: distance in pixels to the outline of a mask, positive inside.
+    """Compute the distance in pixels to the outline of a mask, positive inside: (rows, columns) float32.
 
     The outline of a mask runs between the centres of its pixels and those outside; steps of a pixel are smoothed away
     (Gaussian, 0.7 pixels) so that slanted outlines come out straight.
@@ -76,7 +76,7 @@ def signed_distance(silhouette: np.ndarray) -> np.ndarray:
 
 
 def field_of(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera], *, finest_px: float = 0.0) -> Field:
-    """Distance maps of the views that have a silhouette (None: none known there).
+    """Make distance maps of the views that have a silhouette (None: none known there).
 
     finest_px: detail that nobody will ask for, pixels; larger pictures are kept at a coarser stride. Raises UserError
     where fewer than two views have one, where one is empty, or where its size is not the camera's.
@@ -119,7 +119,7 @@ def _area_of(silhouette: np.ndarray, camera: Camera) -> tuple[slice, slice]:
 
 
 def bounding_box(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera], *, misses: int = 0) -> np.ndarray:
-    """(2, 3) float64: lowest and highest corner of all points that project into the silhouettes' convex outlines.
+    """Find lowest and highest corner (2, 3) float64 of all points that project into the silhouettes' convex outlines.
 
     Each edge of a convex outline spans a plane with the camera's centre; the smallest and largest x, y and z within all
     these planes are six linear programs, exact for any cameras, without a first guess. An outline's edge along the
@@ -148,7 +148,7 @@ def bounding_box(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera]
 
 
 def _extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:
-    """(2, 3): extent of what lies within all planes; the cameras' middle and the size of their ring are the start.
+    """Find the extent (2, 3) of the space within all planes; start: the cameras' middle and the size of their ring.
 
     The solver's tolerance is absolute: solved again in units of the box that was found, which can be small beside the
     cameras' distance.
@@ -164,7 +164,7 @@ def _extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.nda
 
 
 def _solved(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:
-    """(2, 3): see `_extent`; positions in steps of size from the middle."""
+    """Solve for the extent (2, 3), see `_extent`; positions in steps of size from the middle."""
     from scipy.optimize import linprog
 
     joined = np.concatenate(planes)
@@ -190,7 +190,7 @@ def _solved(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.nda
 
 
 def _planes(silhouette: np.ndarray, camera: Camera) -> np.ndarray:
-    """(n, 4): planes p with p . (x, y, z, 1) >= 0 within the cone of the silhouette's convex outline."""
+    """Compute planes p (n, 4) with p . (x, y, z, 1) >= 0 within the cone of the silhouette's convex outline."""
     import cv2
 
     _area_of(silhouette, camera)
@@ -213,13 +213,13 @@ def _planes(silhouette: np.ndarray, camera: Camera) -> np.ndarray:
 
 
 def sight_rays(pixels: np.ndarray, camera: Camera) -> np.ndarray:
-    """(n, 3) unit directions in the world of the lines of sight of pixels (n, 2)."""
+    """Compute unit directions (n, 3) in the world of the lines of sight of pixels (n, 2)."""
     directions = _undistorted(pixels, camera) @ camera.rotation
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
 def _undistorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
-    """(n, 3): directions in the camera's frame, third component 1, of pixels (n, 2)."""
+    """Compute directions (n, 3) in the camera's frame, third component 1, of pixels (n, 2)."""
     k = camera.intrinsics
     y = (pixels[:, 1] - k[1, 2]) / k[1, 1]
     x = (pixels[:, 0] - k[0, 2] - k[0, 1] * y) / k[0, 0]
@@ -243,7 +243,7 @@ def usual_misses(views: int) -> int:
 
 
 def carve(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, cells: int = 256, misses: int = 0) -> Hull:
-    """Visual hull of silhouettes, list of (rows, columns) bool arrays or None, one per camera.
+    """Carve the visual hull of silhouettes, list of (rows, columns) bool arrays or None, one per camera.
 
     cells: grid cells along the longest side of the `bounding_box`; misses: views (up to 4) that may see background
     where the body is: with 1, no single wrong mask can carve anything away.

@@ -16,7 +16,7 @@ MOST_MISSES = 4  # views that may wrongly see background
 
 @njit(**JIT)
 def _project(pose, lens, x, y, z, out):
-    """Column, row and depth of a world point into out[:3]; a depth <= 0 leaves column and row alone."""
+    """Compute column, row and depth of a world point into out[:3]; a depth <= 0 leaves column and row alone."""
     depth = pose[8] * x + pose[9] * y + pose[10] * z + pose[11]
     out[2] = depth
     if depth <= 0.0:
@@ -36,7 +36,7 @@ def _project(pose, lens, x, y, z, out):
 
 @njit(**JIT)
 def _distance(buffer, frame, column, row):
-    """Signed distance in pixels, bilinear; beyond the stored part it goes on falling by the distance to it."""
+    """Interpolate the signed distance in pixels bilinearly; beyond the stored part it falls by the distance to it."""
     stride = frame[5]
     r = (row - frame[1]) / stride
     c = (column - frame[2]) / stride
@@ -80,7 +80,7 @@ def at_point(field, omitted, place, misses, enough, spot, worst):
 
 @njit(**JIT)
 def _block(field, lowest, side, margin, misses, spot):
-    """Return -1: the cube is outside for more than `misses` views; 1: inside for all; 0: some of its points are asked.
+    """Return -1: the cube is outside for more than `misses` views; 1: inside for all; 0: evaluate its points.
 
     A cube before the camera lies within the convex hull of its projected corners, so within the circle around its
     projected centre that holds them; a distance map changes by no more than the way gone (a tenth and a pixel are

@@ -17,7 +17,7 @@ from nishiki.installation import optional
 
 @dataclass(frozen=True)
 class Mesh:
-    """Hold a triangle mesh."""
+    """A triangle mesh."""
 
     vertices: np.ndarray  # (v, 3) float64 in the world's unit
     triangles: np.ndarray  # (f, 3) int32, counter-clockwise seen from outside
@@ -36,7 +36,7 @@ class Mesh:
 
     @classmethod
     def load(cls, path: Path) -> "Mesh":
-        """Read what `save` wrote."""
+        """Read a file that `save` wrote."""
         arrays = load_arrays(path)
         return cls(arrays["vertices"], arrays["triangles"], arrays["normals"])
 
@@ -51,13 +51,13 @@ def row_numbers(rows: np.ndarray) -> np.ndarray:
 
 
 def face_vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(f, 3) float64: normals of the triangles, their lengths twice the areas."""
+    """Compute normals (f, 3) float64 of the triangles, their lengths twice the areas."""
     a, b, c = (vertices[triangles[:, k]] for k in range(3))
     return np.cross(b - a, c - a)
 
 
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """(v, 3) float32, unit length; (0, 0, 1) at vertices that no triangle of positive area uses."""
+    """Compute unit normals (v, 3) float32; (0, 0, 1) at vertices that no triangle of positive area uses."""
     faces = face_vectors(vertices, triangles)
     sums = np.zeros_like(vertices)
     for axis in range(3):
@@ -69,7 +69,7 @@ def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 
 def read_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) float64 and triangles (f, 3) int64 of a PLY or OBJ file, as they are.
+    """Read vertices (v, 3) float64 and triangles (f, 3) int64 of a PLY or OBJ file, as they are.
 
     Polygons of more than three corners are cut into fans. Raises UserError where the file is damaged, holds no
     triangles, names vertices that are not there, or has coordinates that are not finite.
@@ -90,7 +90,7 @@ def read_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_points(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """Points (n, 3) float64 of a range scan, and its triangles (f, 3) or None where it is a cloud of points."""
+    """Read points (n, 3) float64 of a range scan, and its triangles (f, 3) or None where it is a cloud of points."""
     vertices, triangles = _read(path)
     if len(vertices) < 10:
         raise UserError(f"{path}: expected a range scan, found {len(vertices)} points. Remedy: export the scan again")
@@ -98,7 +98,7 @@ def read_points(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 class _Nothing:
-    """Finds no file: pictures and materials that a mesh names may lie anywhere on the disk, and none is used."""
+    """A resolver that finds no file: a mesh may name pictures and materials anywhere on the disk; none is used."""
 
     file_name = None
 
@@ -156,13 +156,13 @@ def triangulated(content: bytes) -> bytes:
 
 
 def _values(data: np.ndarray, starts: np.ndarray, places: np.ndarray, kind: str) -> np.ndarray:
-    """Bytes (n, ..) of the values at places (n, k) of lists that begin at `starts` (n,)."""
+    """Gather the bytes (n, ..) of the values at places (n, k) of lists that begin at `starts` (n,)."""
     size = np.dtype(KINDS[kind]).itemsize
     return data[((starts[:, None] + size * places)[:, :, None] + np.arange(size)).reshape(len(starts), -1)]
 
 
 def _lists(content: bytes, at: int, face: Element, *, little: bool) -> dict[str, tuple[np.ndarray, np.ndarray, str]]:
-    """Of each list property of the faces: its lengths, where its values begin, and their type."""
+    """Locate each list property of the faces: its lengths, where its values begin, and their type."""
     order: Literal["little", "big"] = "little" if little else "big"
     sizes = [
         (name, np.dtype(KINDS[count or kind]).itemsize, np.dtype(KINDS[kind]).itemsize if count else 0)
@@ -229,7 +229,7 @@ def write_ply(
     uv: np.ndarray | None = None,
     attributes: Mapping[str, np.ndarray] | None = None,
 ) -> None:
-    """Binary little-endian PLY of a mesh, positions double, normals float; the stamp and the unit as comments.
+    """Write a binary little-endian PLY of a mesh, positions double, normals float; the stamp and the unit as comments.
 
     At the vertices, uv: texture coordinates (v, 2); attributes: more float values (v, k), NAME becomes the properties
     NAME_0, NAME_1, ..

@@ -16,18 +16,18 @@ its middle."""
 
 
 def outline_of(mesh: Mesh, camera: Camera) -> np.ndarray:
-    """(rows, columns) bool: pixel centres that the mesh covers."""
+    """Find the pixel centres that the mesh covers: (rows, columns) bool."""
     return rasterise(mesh, camera).triangle >= 0
 
 
 def agreement(first: np.ndarray, second: np.ndarray) -> float:
-    """Intersection over union of two masks; 1 where both are empty."""
+    """Compute the intersection over union of two masks; 1 where both are empty."""
     union = int((first | second).sum())
     return int((first & second).sum()) / union if union else 1.0
 
 
 def shaded(mesh: Mesh, camera: Camera) -> np.ndarray:
-    """(rows, columns) uint8: the mesh lit from the camera, triangles flat; dark grey where there is none."""
+    """Shade the mesh lit from the camera, triangles flat: (rows, columns) uint8, dark grey where there is none."""
     seen = rasterise(mesh, camera).triangle
     faces = face_vectors(mesh.vertices, mesh.triangles)
     faces /= np.maximum(np.linalg.norm(faces, axis=1, keepdims=True), 1e-300)
@@ -39,7 +39,7 @@ def shaded(mesh: Mesh, camera: Camera) -> np.ndarray:
 
 
 def overruled(loose: Mesh, camera: Camera, mask: np.ndarray, dark: np.ndarray, cell: float) -> np.ndarray:
-    """Find the background of a view's mask that the other views say is the object, (rows, columns) bool.
+    """Find the background of a view's mask that is the object by the other views, (rows, columns) bool.
 
     loose: hull that forgives some views, with grid cells of side `cell` (world's unit), which holds the object whatever
     single masks (rows, columns) bool say; dark (rows, columns) bool: pixels that may lie in shadow. Where background
@@ -68,14 +68,14 @@ def _disc(radius: int) -> np.ndarray:
 
 
 SCALES = (1.0, 1000.0, 100.0, 10.0, 0.1, 0.01, 0.001, 25.4, 1 / 25.4, 12.0, 1 / 12, 304.8, 1 / 304.8)
-"""Between millimetres, centimetres, metres, inches and feet."""
+"""Scales between millimetres, centimetres, metres, inches and feet."""
 Triple = tuple[int, int, int]
 USUAL_AXES: tuple[tuple[Triple, Triple], ...] = (
     ((0, 1, 2), (1, 1, 1)),
     ((0, 2, 1), (1, -1, 1)),
     ((0, 2, 1), (1, 1, -1)),
 )
-"""As it lies, y up to z up, and z up to y up: x, -z, y and x, z, -y."""
+"""Axes as they lie, y up to z up, and z up to y up: x, -z, y and x, z, -y."""
 AXES = USUAL_AXES + tuple(
     axes
     for axes in product(permutations((0, 1, 2), 3), product((1, -1), (1, -1), (1, -1)))
@@ -90,7 +90,7 @@ EQUAL = 0.01  # overlaps that differ by less are equal
 
 @dataclass(frozen=True)
 class Placement:
-    """Hold the fit of a mesh to silhouettes."""
+    """The fit of a mesh to silhouettes."""
 
     overlap: float  # mean intersection over union of the mesh's outline and the silhouettes, as it lies
     scale: float  # scale, order, signs: of the reading that overlaps most, see `move_mesh`

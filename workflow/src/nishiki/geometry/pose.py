@@ -28,7 +28,7 @@ SAME_POSE_DEG = 2.0
 
 @dataclass(frozen=True)
 class Sight:
-    """What one view shows of known points: points (n, 3) world, pixels (n, 2) (column, row), float64."""
+    """One view of known points: points (n, 3) world, pixels (n, 2) (column, row), float64."""
 
     name: str
     points: np.ndarray
@@ -37,7 +37,7 @@ class Sight:
 
 @dataclass(frozen=True)
 class Pose:
-    """camera: the view. inliers (n,) bool: points that agree with it. rms_px, worst_px: over the inliers."""
+    """A pose. camera: the view. inliers (n,) bool: points that agree with it. rms_px, worst_px: over the inliers."""
 
     camera: Camera
     inliers: np.ndarray
@@ -121,7 +121,7 @@ class _Lens:
         return cls(intrinsics, upright, np.array(distortion, np.float64), rows, columns)
 
     def straighten(self, pixels: np.ndarray) -> np.ndarray:
-        """Pixels of the same camera without skew, which OpenCV's model has not: exact, the lens comes before it."""
+        """Convert pixels to the same camera without skew, which OpenCV's model lacks: exact, the lens comes first."""
         k = self.intrinsics
         skew = k[0, 1] * (pixels[:, 1] - k[1, 2]) / k[1, 1]
         return np.ascontiguousarray(np.column_stack([pixels[:, 0] - skew, pixels[:, 1]]))
@@ -132,7 +132,7 @@ class _Lens:
 
 
 def _expect_spread(sight: Sight, chosen: np.ndarray) -> None:
-    """UserError unless the chosen points are at least 4, finite, and not on a line."""
+    """Raise a UserError unless the chosen points are at least 4, finite, and not on a line."""
     points = sight.points[chosen]
     if len(points) < LEAST_POINTS:
         raise UserError(
@@ -151,7 +151,7 @@ def _expect_spread(sight: Sight, chosen: np.ndarray) -> None:
 
 
 def _first_pose(sight: Sight, lens: _Lens, outlier_px: float) -> np.ndarray | None:
-    """Rotation vector and translation (6,) that most of the points agree with; None where there is none."""
+    """Find rotation vector and translation (6,) that agree with most of the points; None where there is none."""
     import cv2
 
     done, turn, shift, _ = cv2.solvePnPRansac(
@@ -163,7 +163,7 @@ def _first_pose(sight: Sight, lens: _Lens, outlier_px: float) -> np.ndarray | No
 
 
 def _errors(lens: _Lens, vector: np.ndarray, points: np.ndarray, pixels: np.ndarray) -> np.ndarray:
-    """(n,) squared distances in pixels; infinite behind the camera."""
+    """Compute squared distances (n,) in pixels; infinite behind the camera."""
     projected, depth = lens.camera("", vector).project(points)
     return np.where(depth > 0, ((projected - pixels) ** 2).sum(axis=1), np.inf)
 
@@ -236,7 +236,7 @@ LEAST_FOR_FOLDS = 6  # points of a view
 
 @dataclass(frozen=True)
 class TurntablePoses:
-    """Hold poses on one axis."""
+    """Poses on one axis."""
 
     cameras: tuple[Camera, ...]  # in the order given
     axis: np.ndarray  # (3,) unit and point (3,) of the axis, world
@@ -247,7 +247,7 @@ class TurntablePoses:
 
 @dataclass(frozen=True)
 class Choice:
-    """Compare single poses with poses on one axis."""
+    """A comparison of single poses with poses on one axis."""
 
     cameras: tuple[Camera, ...]  # the poses that predict left-out points better
     on_axis: bool
@@ -259,7 +259,7 @@ class Choice:
 
 
 def choose_poses(sights: list[Sight], cameras: list[Camera], *, steps: str = "free", full_turn: bool = False) -> Choice:
-    """Poses on one axis if these predict left-out points at least as well as poses of their own, else the latter.
+    """Choose poses on one axis if they predict left-out points at least as well as poses of their own, else the latter.
 
     sights: points that agree with the cameras (no outliers), in the order of the turn. steps: see `fit_turntable`.
     Where points are too few to leave some out, the poses stay as they are.
@@ -294,7 +294,7 @@ def _squares(camera: Camera, sight: Sight) -> float:
 def fit_turntable(
     sights: list[Sight], cameras: list[Camera], *, steps: str = "free", full_turn: bool = False
 ) -> TurntablePoses:
-    """Least squares over all points of all views (n >= 2), started from the views' own poses.
+    """Fit by least squares over all points of all views (n >= 2), started from the views' own poses.
 
     All cameras have the intrinsics and distortion of the first. steps: free (one angle a view) | equal (one step; a
     full circle by the number of views where full_turn).
@@ -347,7 +347,7 @@ class _Model:
         )
 
     def start(self, cameras: list[Camera]) -> np.ndarray:
-        """(10 + angles,): turn of the rest pose, its translation, tilt of the axis, its place, angles."""
+        """Estimate (10 + angles,): turn of the rest pose, its translation, tilt of the axis, its place, angles."""
         _, angles = _axis_of(cameras)
         rest = cameras[0]
         turns = [rest.rotation.T @ camera.rotation for camera in cameras[1:]]
@@ -367,7 +367,7 @@ class _Model:
         return step * np.arange(self.views)
 
     def poses(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Rotations (n, 3, 3), translations (n, 3), axis, point and angles (n,)."""
+        """Compute rotations (n, 3, 3), translations (n, 3), axis, point and angles (n,)."""
         axis = self.axis + x[6:8] @ self.across
         axis = axis / np.linalg.norm(axis)
         point = x[8:10] @ self.across
@@ -386,7 +386,7 @@ class _Model:
 
 
 def _axis_of(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
-    """Axis (3,) in the world and angles (n,) from the first view, by the mean axis of the turns between all pairs."""
+    """Find axis (3,) in the world, angles (n,) from the first view, by the mean axis of the turns between all pairs."""
     rotations = np.array([camera.rotation for camera in cameras])
     total = np.zeros((3, 3))
     for rotation in rotations:

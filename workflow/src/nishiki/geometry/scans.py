@@ -24,7 +24,7 @@ APT_LINE = f"apt-get install {' '.join(PACKAGES)}"
 
 
 def missing_filters() -> tuple[str, ...]:
-    """Names of the filters that are needed and not there; all of them where pymeshlab cannot be imported."""
+    """List the missing filters; all of them where pymeshlab cannot be imported."""
     try:
         import pymeshlab
     except ImportError:
@@ -52,7 +52,7 @@ NORMAL_NEIGHBOURS = 12
 def merge(
     scans: list[np.ndarray], faces: list[np.ndarray | None], *, cells: int = 256
 ) -> tuple[np.ndarray, np.ndarray, dict]:
-    """One surface through registered scans: vertices (v, 3), triangles (f, 3), and figures.
+    """Merge registered scans into one surface: vertices (v, 3), triangles (f, 3), and figures.
 
     A single scan with triangles stays as it is. Else screened Poisson reconstruction (M. Kazhdan and H. Hoppe, ACM
     Trans. Graphics 32(3), 2013) on about `cells` cells along the longest side; what lies further than three of them
@@ -129,7 +129,7 @@ def _outward_normals(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
 
 
 def _poisson(points: np.ndarray, normals: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
-    """Screened Poisson surface of oriented points by MeshLab."""
+    """Compute the screened Poisson surface of oriented points by MeshLab."""
     pymeshlab = optional("pymeshlab")
 
     work = mesh_set()
@@ -164,7 +164,7 @@ class Motion:
         return cls(np.eye(3), np.zeros(3))
 
     def apply(self, points: np.ndarray) -> np.ndarray:
-        """Points (n, 3), moved."""
+        """Move points (n, 3)."""
         return points @ self.rotation.T + self.translation
 
     def after(self, first: "Motion") -> "Motion":
@@ -174,7 +174,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class Registered:
-    """Hold registered scans."""
+    """Registered scans."""
 
     motions: tuple[Motion, ...]  # of each scan into the frame of the first
     # (n,): root mean square distance to the tangent planes of the others over the overlapping part, world's unit (0
@@ -184,7 +184,7 @@ class Registered:
     moved: tuple[int, ...]  # scans that were searched for from many starts because their given place was too inexact
 
     def as_dict(self) -> dict:
-        """Plain data, for JSON."""
+        """Return plain data, for JSON."""
         return {
             "motions": [np.column_stack([motion.rotation, motion.translation]).tolist() for motion in self.motions],
             "residual": [float(value) for value in self.residual],
@@ -223,7 +223,7 @@ def cloud_of(points: np.ndarray, *, most: int = POINTS) -> Cloud:
 
 
 def thinned(points: np.ndarray, most: int) -> np.ndarray:
-    """One point, the first, of each cell of a cubic grid so fine that about `most` cells are filled."""
+    """Select the first point of each cell of a cubic grid so fine that about `most` cells are filled."""
     if len(points) <= most:
         return points
     low, extent = points.min(axis=0), np.ptp(points, axis=0).max() or 1.0
@@ -238,7 +238,7 @@ def thinned(points: np.ndarray, most: int) -> np.ndarray:
 
 
 def register(scans: list[np.ndarray], *, overlap: float = 0.5) -> Registered:
-    """Motions that bring scans, list of (n, 3) points, together in the frame of the first.
+    """Find the motions that bring scans, list of (n, 3) points, together in the frame of the first.
 
     overlap: part of a scan's points that the others have too. Where the given places already fit after alignment
     (residual below 0.4 spacings of the thinned points), they are the start; else 72 rotations about the centroids
@@ -281,7 +281,7 @@ def _joined(clouds: list[Cloud], motions: dict[int, Motion], without: int | None
 
 
 def _together(clouds: list[Cloud], motions: dict[int, Motion], overlap: float) -> np.ndarray:
-    """Each scan against all others in turn, the first held; changes motions, returns the residuals."""
+    """Align each scan to all others in turn, the first held; change motions, return the residuals."""
     residuals = np.zeros(len(clouds))
     for _ in range(3 if len(clouds) > 1 else 0):
         for index in range(len(clouds)):
@@ -294,7 +294,7 @@ def _together(clouds: list[Cloud], motions: dict[int, Motion], overlap: float) -
 
 
 def _search(cloud: Cloud, target: Cloud, overlap: float) -> tuple[Motion, float]:
-    """Best of many rotations about the centroids, aligned coarsely with few points, the best five finely."""
+    """Find the best of many rotations about the centroids, aligned coarsely with few points, the best five finely."""
     few = Cloud(thinned(cloud.points, COARSE_POINTS), np.empty((0, 3)), cloud.spacing)
     middle, aim = cloud.points.mean(axis=0), target.points.mean(axis=0)
     tried = []

@@ -41,7 +41,7 @@ WORKING_PIXELS = 1_000_000
 
 @dataclass(frozen=True)
 class Silhouette:
-    """Hold the silhouette of one picture."""
+    """The silhouette of one picture."""
 
     mask: np.ndarray  # (rows, columns) bool
     # median over the outline of the colour difference between the two sides, in spreads of the background (below 2
@@ -90,7 +90,7 @@ def segment(picture: np.ndarray, *, background: str = "auto") -> Silhouette:
 
 
 def live_area(picture: np.ndarray) -> tuple[slice, slice]:
-    """Rows and columns of a picture without the black strips that some cameras leave along the edges.
+    """Find rows and columns of a picture without the black strips that some cameras leave along the edges.
 
     Where it is mostly black just within the widest strip, too, the background is black, and there are none.
     """
@@ -113,7 +113,7 @@ def live_area(picture: np.ndarray) -> tuple[slice, slice]:
 
 
 def _lab(picture: np.ndarray) -> np.ndarray:
-    """CIE L + 16, a, b (float32): proportional to the cube root of the light, so that a shadow is a factor."""
+    """Convert to CIE L + 16, a, b (float32): proportional to the cube root of light, so that a shadow is a factor."""
     import cv2
 
     lab = cv2.cvtColor(picture.astype(np.float32) / 255, cv2.COLOR_RGB2LAB)
@@ -123,7 +123,7 @@ def _lab(picture: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Colours:
-    """Hold clusters of the background."""
+    """Clusters of the background's colours."""
 
     centres: np.ndarray  # (n, 3), inverse covariances (n, 3, 3) in L + 16, a, b
     inverses: np.ndarray
@@ -132,7 +132,7 @@ class Colours:
 
 
 def background_colours(picture: np.ndarray, background: str) -> Colours:
-    """Colours along the border of a picture, as a few clusters; small ones (a corner of the object) are left out."""
+    """Group the colours along a picture's border into few clusters; drop small ones (a corner of the object)."""
     import cv2
 
     area = live_area(picture)
@@ -166,7 +166,7 @@ def background_colours(picture: np.ndarray, background: str) -> Colours:
 
 
 def _fits(samples: np.ndarray, background: str) -> np.ndarray:
-    """Which of the border's colours (n, 3) can be the named background."""
+    """Mark the border's colours (n, 3) that can be the named background."""
     light, a, b = samples.T
     if background == "dark":
         return light < 16 + 45
@@ -180,7 +180,7 @@ def _fits(samples: np.ndarray, background: str) -> np.ndarray:
 
 
 def background_distance(picture: np.ndarray, colours: Colours) -> np.ndarray:
-    """(rows, columns) float32: distance of each pixel to the nearest background colour, in its spreads, up to 100.
+    """Compute the distance (rows, columns) float32 to the nearest background colour, in its spreads, up to 100.
 
     A coloured background may be in shadow: its colour is scaled down to 0.55 (a sixth of the light) where that fits.
     """
@@ -211,7 +211,7 @@ def best_level(distance: np.ndarray) -> float:
 
 
 def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_PX) -> np.ndarray:
-    """Mask whose outline runs where the object covers half a pixel.
+    """Compute the mask whose outline runs where the object covers half a pixel.
 
     Lenses and video mix the colours of both sides over a few pixels, and a small share of the object suffices to look
     unlike the background. Within `reach` pixels of the outline the share is estimated from the colours of both sides.
@@ -235,7 +235,7 @@ def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_P
 
 
 def _half_covered(light: np.ndarray, mask: np.ndarray, reach: int) -> np.ndarray:
-    """One step of `at_half_cover`, on linear light (rows, columns, 3)."""
+    """Make one step of `at_half_cover`, on linear light (rows, columns, 3)."""
     import cv2
 
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
@@ -267,7 +267,7 @@ def _half_covered(light: np.ndarray, mask: np.ndarray, reach: int) -> np.ndarray
 
 
 def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, int, int]:
-    """Mask of the large parts only, its holes filled where they do not look like background.
+    """Keep the large parts of a mask, and fill its holes where they do not look like background.
 
     Parts below a fiftieth of the largest are dust on the background; a hole is real where at least four pixels of it
     have background colour in the median. Returns mask, parts, pixels dropped, pixels of holes left open.

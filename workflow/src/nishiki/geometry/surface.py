@@ -1,4 +1,4 @@
-"""Surfaces measured and made lighter: distance between two meshes, fewest triangles within a deviation, shape facts."""
+"""Measure and simplify surfaces: distance between two meshes, fewest triangles within a deviation, shape facts."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ MEASURED = 10_000
 
 @dataclass(frozen=True)
 class SimplifiedMesh:
-    """Hold a simplified mesh."""
+    """A simplified mesh."""
 
     mesh: Mesh
     # distance of the original's surface in pixels of the sharpest view that 99 in 100 vertices stay below
@@ -25,7 +25,7 @@ class SimplifiedMesh:
 
 
 def decimate(mesh: Mesh, triangles: int) -> Mesh:
-    """Mesh of about `triangles` triangles (no fewer than a collapse leaves; never more than it has), deterministic."""
+    """Reduce a mesh to about `triangles` triangles (no fewer than a collapse leaves; never more), deterministic."""
     if triangles >= len(mesh.triangles):
         return mesh
     vertices, faces = mesh.vertices.copy(), mesh.triangles.astype(np.int64)
@@ -45,7 +45,7 @@ def pixels_per_unit(points: np.ndarray, cameras: list[Camera]) -> np.ndarray:
 
 
 def distances(points: np.ndarray, mesh: Mesh, *, spacing: float | None = None) -> np.ndarray:
-    """(n,) float64: distance of points (n, 3) to the surface of a mesh.
+    """Compute distances (n,) float64 of points (n, 3) to the surface of a mesh.
 
     Nearest among the triangles whose samples (one per `spacing` along every edge, by default the square root of the
     mean area a point has) are nearest: at most a small part of the spacing too large, never too small.
@@ -84,7 +84,7 @@ def sample(mesh: Mesh, spacing: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def point_to_triangle(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """(n,) distance of points (n, 3) to triangles (n, 3 corners, 3)."""
+    """Compute distances (n,) of points (n, 3) to triangles (n, 3 corners, 3)."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     normal = np.cross(b - a, c - a)
     square = np.einsum("ij,ij->i", normal, normal)
@@ -166,7 +166,7 @@ def smoothed(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int =
 
 
 def linked(mesh: Mesh):
-    """(v, v) sparse: 1 where two vertices share an edge."""
+    """Make the matrix (v, v), sparse, that is 1 where two vertices share an edge."""
     from scipy.sparse import coo_array
 
     ends, others = np.repeat(mesh.triangles, 2, axis=1).ravel(), mesh.triangles[:, [1, 2, 2, 0, 0, 1]].ravel()
@@ -177,7 +177,7 @@ def linked(mesh: Mesh):
 
 @dataclass(frozen=True)
 class Shape:
-    """Hold facts of a mesh."""
+    """Facts of a mesh."""
 
     vertices: int
     triangles: int
@@ -191,7 +191,7 @@ class Shape:
 
 
 def shape_of(mesh: Mesh) -> Shape:
-    """Topology and size of a mesh."""
+    """Measure topology and size of a mesh."""
     parts, _ = parts_of(mesh.triangles, len(mesh.vertices))
     directed = np.concatenate([mesh.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     counts = np.bincount(row_numbers(np.sort(directed, axis=1)))

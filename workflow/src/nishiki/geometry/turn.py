@@ -33,7 +33,7 @@ class CircleCheck(PlainFields):
 
     @property
     def full(self) -> bool:
-        """Whether the views go once round: steps in one sense, together one turn, none above 1.6 times the median."""
+        """Test if the views go once round: steps in one sense, together one turn, none above 1.6 times the median."""
         steps = np.array(self.steps_deg)
         once = abs(steps.sum() - 360) < 1e-4 and (steps > 0).all()
         return bool(once and steps.max() <= LARGEST_STEP * np.median(steps))
@@ -57,7 +57,7 @@ def order_round(centres: np.ndarray) -> list[int]:
 
 
 def circle_centre(points: np.ndarray) -> np.ndarray:
-    """Centre (2,) of the circle nearest to points (n, 2), n >= 3, in the sense of squared radii.
+    """Compute the centre (2,) of the circle nearest to points (n, 2), n >= 3, in the sense of squared radii.
 
     |p|^2 = 2 p.c + (r^2 - |c|^2) is linear in the centre c and in the last term (Kåsa, 1976).
     """
@@ -66,7 +66,7 @@ def circle_centre(points: np.ndarray) -> np.ndarray:
 
 
 def turn_of(centres: np.ndarray) -> CircleCheck | None:
-    """Circle through camera centres (n, 3) in the order of the turn, by plane and algebraic circle fit.
+    """Fit the circle through camera centres (n, 3) in the order of the turn, by plane and algebraic circle fit.
 
     None where fewer than 3 distinct centres, or centres on a line, determine no circle.
     """
@@ -97,7 +97,7 @@ def turn_of(centres: np.ndarray) -> CircleCheck | None:
 
 
 def scale_turn(matrices: np.ndarray, centres: np.ndarray, factor: float) -> np.ndarray | None:
-    """Projections (n, 3, 4) of cameras at `factor` times their angles from the first about the axis of their circle.
+    """Return projections (n, 3, 4) of cameras at `factor` times their angles from the first about their circle's axis.
 
     matrices (n, 3, 4) and centres (n, 3), world's unit, in the order of the turn. -1 is an object that turns the other
     way: once round in equal steps, these are the given matrices in reverse order. None where the centres lie on no
@@ -117,7 +117,7 @@ def scale_turn(matrices: np.ndarray, centres: np.ndarray, factor: float) -> np.n
 
 @dataclass(frozen=True)
 class CameraPath:
-    """Describe the path of the cameras round an axis."""
+    """The path of the cameras round an axis."""
 
     axis: np.ndarray  # (3,) unit vector and point (3,) on it, world
     point: np.ndarray
@@ -127,13 +127,13 @@ class CameraPath:
     deviation_deg: float  # largest angle between the axis of a step and the common one
 
     def locate(self, index: int, fraction: float) -> float:
-        """Position of the place `fraction` of the way from view `index` to the next one."""
+        """Compute the position `fraction` of the way from view `index` to the next one."""
         following = self.position[index + 1] if index + 1 < len(self.position) else self.length
         return float(self.position[index] + fraction * (following - self.position[index]))
 
 
 def fit_turn(cameras: list[Camera], *, full_turn: bool) -> CameraPath:
-    """Axis and path of the cameras, in their order.
+    """Fit axis and path of the cameras, in their order.
 
     The direction of the axis is the mean of the steps' rotation vectors, the point the least-squares centre of the
     camera centres in the plane across it.  Positions grow by the angle of each step's rotation.
@@ -153,7 +153,7 @@ def fit_turn(cameras: list[Camera], *, full_turn: bool) -> CameraPath:
 
 
 def axis_point(cameras: list[Camera], axis: np.ndarray) -> np.ndarray:
-    """(3,) the point of the axis at the mean height of the camera centres: least-squares circle across the axis."""
+    """Find the axis's point (3,) at the mean height of the camera centres: least-squares circle across the axis."""
     centres = np.array([camera.centre for camera in cameras])
     mean = centres.mean(axis=0)
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
@@ -203,7 +203,7 @@ def scaled(camera: Camera, factor: float) -> Camera:
 
 
 def twist(rotation: np.ndarray, axis: np.ndarray) -> float:
-    """Angle of the part of a rotation (3, 3) about the axis (swing-twist decomposition), radians, -pi..pi."""
+    """Compute the angle of a rotation (3, 3) about the axis (swing-twist decomposition), radians, -pi..pi."""
     vector = rotation_vector(rotation)
     angle = np.linalg.norm(vector)
     if angle < 1e-12:
@@ -213,14 +213,14 @@ def twist(rotation: np.ndarray, axis: np.ndarray) -> float:
 
 
 def rotation_vector(rotation: np.ndarray) -> np.ndarray:
-    """(3,) axis times angle of a rotation matrix, radians; accurate at small angles and up to half a turn."""
+    """Compute axis times angle (3,) of a rotation matrix, radians; accurate at small angles and up to half a turn."""
     from scipy.spatial.transform import Rotation
 
     return Rotation.from_matrix(rotation).as_rotvec()
 
 
 def rotation_matrix(vectors: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) rotations about vectors (..., 3) by their lengths in radians."""
+    """Compute rotations (..., 3, 3) about vectors (..., 3) by their lengths in radians."""
     from scipy.spatial.transform import Rotation
 
     vectors = np.asarray(vectors, np.float64)

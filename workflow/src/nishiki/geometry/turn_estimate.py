@@ -62,13 +62,13 @@ class Matches:
 
     @classmethod
     def none(cls) -> "Matches":
-        """No features."""
+        """Return no features."""
         return cls(np.zeros((0, 2), int), np.zeros((0, 2, 2)))
 
 
 @dataclass(frozen=True)
 class TurnEstimate(PlainFields):
-    """Cameras of a turn and how sure they are."""
+    """Cameras of a turn and their uncertainty."""
 
     cameras: list[Camera] = field(repr=False)
     focal_px: float
@@ -159,7 +159,7 @@ class Evidence:
         centre = np.array([(columns - 1) / 2, (rows - 1) / 2])
 
         def ideal(pixels: np.ndarray) -> np.ndarray:
-            """Pixels (n, 2) as a lens without distortion about the centre would give them."""
+            """Convert pixels (n, 2) to those of a lens without distortion about the centre."""
             if intrinsics is None or not len(pixels):
                 return pixels
             import cv2
@@ -230,7 +230,7 @@ def _turn(vectors: np.ndarray, angles: np.ndarray) -> np.ndarray:
 
 
 def _angles(rays: np.ndarray, turned: bool, turns: np.ndarray, middle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angles (n, m) of rays (n, m, 3) about the baseline, from the plane of `middle` (n, 3), and their sines to it.
+    """Compute angles (n, m) of rays (n, m, 3) about the baseline, from the plane of `middle` (n, 3), and their sines.
 
     The first camera stands at (1, 0, 0), the second is turned by `turns` (n,); turned: rays are of the second.
     """
@@ -282,7 +282,7 @@ class Adjustment:
         return np.concatenate([residuals, self._prior() @ values[4:]]) if self.free else residuals
 
     def _prior(self) -> np.ndarray:
-        """Matrix (views, views) from deviations and common step to the deviation of each step, in its sd."""
+        """Compute the matrix (views, views) from deviations and common step to the deviation of each step in its sd."""
         count = self.evidence.count
         steps = np.hstack([np.roll(np.eye(count), 1, axis=1) - np.eye(count), -np.ones((count, 1))])
         return steps[:, 1:] / np.radians(STEP_SD_DEG)
@@ -352,7 +352,7 @@ class Adjustment:
         return float(np.mean(np.minimum(np.concatenate(errors) * sigmas, UNUSABLE_PX)))
 
     def covariance(self) -> np.ndarray:
-        """Covariance of the parameters, the errors of one view taken to be shared by all pairs that it is in.
+        """Compute the parameters' covariance; all pairs of a view share its errors.
 
         Dyadic clusters: P. Aronow, C. Samii and V. Assenova, Political Analysis 23, 2015. Errors of the
         principal point and of the place of all outlines add their share.
@@ -376,7 +376,7 @@ class Adjustment:
         return own + gain @ gain.T
 
     def extent(self) -> tuple[float, float]:
-        """Lowest and highest place of the object along the axis, where its outlines of two views touch each other."""
+        """Find the object's lowest and highest place along the axis, where its outlines of two views touch."""
         lens, turns = self._model(self.values)
         turns, heights = turns[: len(self.evidence.tangents)], []
         base = np.column_stack([np.cos(turns) - 1, np.sin(turns), np.zeros_like(turns)])

@@ -1,4 +1,4 @@
-"""Find what a view or a ray meets: a z-buffer of triangles, and a tree of boxes for rays.
+"""Find the surface that a view or a ray meets: a z-buffer of triangles, and a tree of boxes for rays.
 
 The vertices go through the whole camera, lens distortion included; between them edges are straight in the picture,
 which for triangles of a few pixels is the same thing. Edge functions as in J. Pineda, A parallel algorithm for polygon
@@ -21,7 +21,7 @@ from nishiki.threads import over_rows, strips
 
 @dataclass(frozen=True)
 class Raster:
-    """The surface points behind the pixel centres of a view, or of a band of its rows."""
+    """Surface points behind the pixel centres of a view, or of a band of its rows."""
 
     triangle: np.ndarray  # (rows, columns) int32, -1 where there is none
     # (rows, columns, 2) float32: weights of corners 0 and 1 of the triangle, perspective-correct, 0 where there is
@@ -53,7 +53,7 @@ def rasterise(mesh: Mesh, camera: Camera, *, rows: tuple[int, int] | None = None
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def edge(pixels, a, b, x, y):
-    """Twice the signed area of (a, b, (x, y)); exactly opposite for (b, a), as the lower vertex always comes first."""
+    """Compute twice the signed area of (a, b, (x, y)); exactly opposite for (b, a), as the lower vertex comes first."""
     if a < b:
         return (pixels[b, 0] - pixels[a, 0]) * (y - pixels[a, 1]) - (pixels[b, 1] - pixels[a, 1]) * (x - pixels[a, 0])
     return -((pixels[a, 0] - pixels[b, 0]) * (y - pixels[b, 1]) - (pixels[a, 1] - pixels[b, 1]) * (x - pixels[b, 0]))
@@ -61,14 +61,14 @@ def edge(pixels, a, b, x, y):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def owns(pixels, a, b):
-    """Whether the triangle left of a -> b owns the points on this edge: true for exactly one of a -> b and b -> a."""
+    """Check whether the triangle left of a -> b owns the points on this edge: true for just one of a -> b, b -> a."""
     rise = pixels[b, 1] - pixels[a, 1]
     return rise > 0 or (rise == 0 and pixels[b, 0] < pixels[a, 0])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def bounds(values, size):
-    """First and last integer within the range of three values, clipped to [0, size)."""
+    """Find the first and last integer within the range of three values, clipped to [0, size)."""
     low = min(values[0], min(values[1], values[2]))
     high = max(values[0], max(values[1], values[2]))
     # Clipped before the conversion: a corner near the camera's plane can lie beyond the range of integers.
@@ -77,7 +77,7 @@ def bounds(values, size):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill(pixels, depths, corners, first_row, triangle, barycentric, depth):
-    """Z-buffer over all triangles into the three arrays."""
+    """Draw all triangles into the three arrays by z-buffer."""
     rows, columns = triangle.shape
     for index in range(len(corners)):
         a, b, c = corners[index, 0], corners[index, 1], corners[index, 2]
@@ -116,7 +116,7 @@ def fill(pixels, depths, corners, first_row, triangle, barycentric, depth):
 
 
 def interpolate(attributes: np.ndarray, corners: np.ndarray, triangle: np.ndarray, barycentric: np.ndarray):
-    """Attributes (v, k) of the vertices at surface points: triangle (...), barycentric (..., 2) -> (..., k) float32.
+    """Interpolate vertex attributes (v, k) at surface points: triangle (...), barycentric (..., 2) -> (..., k) float32.
 
     corners (f, 3): the triangles' vertices. 0 where triangle is -1.
     """
@@ -142,7 +142,7 @@ def disc_points(count: int) -> np.ndarray:
 
 
 def frames_about(normals: np.ndarray) -> np.ndarray:
-    """Two unit vectors (n, 2, 3) perpendicular to unit normals (n, 3) and each other (Duff et al., JCGT 6(1), 2017)."""
+    """Make two unit vectors (n, 2, 3) normal to unit normals (n, 3) and each other (Duff et al., JCGT 6(1), 2017)."""
     nx, ny, nz = normals.T
     sign = np.copysign(1.0, nz)
     a = -1.0 / (sign + nz)
@@ -157,7 +157,7 @@ SLACK = 1e-9  # of the corners' weights
 
 @dataclass(frozen=True)
 class RayTree:
-    """Hold a tree over a mesh for rays."""
+    """A tree over a mesh for rays."""
 
     boxes: np.ndarray  # (2 L - 1, 6) float32: lower and upper corner, L leaves
     triangles: np.ndarray  # (4 L, 9) float64: a corner and two edges, in the order of the leaves, some twice
@@ -166,7 +166,7 @@ class RayTree:
 
 @dataclass(frozen=True)
 class Hits:
-    """Hold the hits of rays."""
+    """Hits of rays."""
 
     triangle: np.ndarray  # (n,) int32: in the mesh, -1 where nothing is met
     distance: np.ndarray  # (n,) float64, in multiples of the ray's direction
@@ -294,7 +294,7 @@ def _cast(start, stop, tree, order, rays, any_hit, hits):
 def cast(
     tree: RayTree, origins: np.ndarray, directions: np.ndarray, *, far: np.ndarray | float = 1e9, any_hit: bool = False
 ) -> Hits:
-    """First hits of rays (n, 3), (n, 3) nearer than `far`, in multiples of their directions.
+    """Find the first hits of rays (n, 3), (n, 3) nearer than `far`, in multiples of their directions.
 
     any_hit: stop at the first hit found, whichever it is (for shadows: only whether there is one means something).
     """

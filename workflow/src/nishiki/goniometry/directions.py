@@ -13,7 +13,7 @@ def unit(theta: np.ndarray | float, phi: np.ndarray | float) -> np.ndarray:
 
 
 def angles(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """theta in [0, pi] and phi in [0, 2 pi) of unit vectors (..., 3); phi is 0 along the normal.
+    """Compute theta in [0, pi] and phi in [0, 2 pi) of unit vectors (..., 3); phi is 0 along the normal.
 
     theta = atan2(hypot(x, y), z), which keeps its digits near the normal, where acos(z) loses half of them.
     """
@@ -24,13 +24,13 @@ def angles(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Angle (...) in [0, pi] between unit vectors (..., 3), exact for small ones too."""
+    """Compute the angle (...) in [0, pi] between unit vectors (..., 3), exact for small ones too."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     return 2 * np.arctan2(np.linalg.norm(a - b, axis=-1), np.linalg.norm(a + b, axis=-1))
 
 
 def disc(directions: np.ndarray) -> np.ndarray:
-    """Places (..., 2) on the azimuthal equidistant disc: the normal at (0, 0), the horizon at distance 1.
+    """Map directions to places (..., 2) on the azimuthal equidistant disc: normal at (0, 0), horizon at distance 1.
 
     Continuous over the normal and round the azimuth, where theta and phi are not.
     """

@@ -1,4 +1,4 @@
-"""The normal-incidence reflectance on the whole hemisphere: symmetry, interpolation, what is measured, what is not.
+"""Complete the normal-incidence reflectance to the hemisphere: symmetry, interpolation, measured and missing parts.
 
 A surface has the same BRDF with light and view exchanged (Helmholtz; von Helmholtz, Handbuch der physiologischen Optik,
 1867), and sends back no more light than it gets. Values that are weighted by a cosine, angles that are counted from
@@ -21,7 +21,7 @@ REACH = np.radians(7.5)  # a view stands for directions this near
 
 @dataclass(frozen=True)
 class IncidenceCoverage:
-    """Hold the coverage of one direction of light."""
+    """The coverage of one direction of light."""
 
     theta_deg: float  # theta_deg, phi_deg: of the light (phi 0 along the normal)
     phi_deg: float
@@ -33,14 +33,14 @@ class IncidenceCoverage:
     steepest_deg: float  # greatest theta_r
 
     def as_dict(self) -> dict:
-        """Plain values for JSON, without the rows."""
+        """Return plain values for JSON, without the rows."""
         values = asdict(self)
         del values["rows"]
         return values
 
 
 def coverage(measured: ReflectanceSet) -> tuple[IncidenceCoverage, ...]:
-    """Coverage of each direction of light, by theta and then phi, in degrees rounded to 0.1."""
+    """Measure the coverage of each direction of light, by theta and then phi, in degrees rounded to 0.1."""
     theta, phi = np.degrees(angles(measured.incident))
     along = measured.normal_incidence
     key = np.column_stack([np.where(along, 0.0, np.round(theta, 1)), np.where(along, 0.0, np.round(phi, 1) % 360)])
@@ -92,7 +92,7 @@ OBLIQUE = np.cos(np.radians(20.0))
 def reciprocity(
     incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: Symmetry
 ) -> tuple[float | None, int]:
-    """Disagreement of pairs that differ by the exchange of light and view: mean of |ln ratio|; and number of pairs.
+    """Compare pairs that differ by the exchange of light and view: mean of |ln ratio|; and count the pairs.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def reciprocity(
 
 
 def typical_albedo(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, symmetry: Symmetry) -> float | None:
-    """Share of the light that is sent back, in the brightest channel, median over the directions of light.
+    """Compute the share of the light that is sent back, in the brightest channel, median over the lights' directions.
 
     A direction of light counts where its views leave little of the hemisphere open; each part of the hemisphere has the
     value of the nearest view. None where no direction of light does. Arguments as of `reciprocity`.
@@ -150,7 +150,7 @@ def typical_albedo(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarra
 
 
 def forward_shine(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray) -> float | None:
-    """Rank correlation of reflectance with the half vector's cosine under oblique light, -1 to 1; None without such.
+    """Compute the rank correlation of reflectance and the half vector's cosine in oblique light, -1 to 1, or None.
 
     Surfaces shine where the half vector is near the normal. Arguments as of `reciprocity`.
     """
@@ -178,7 +178,7 @@ LESS = 0.05  # of the error of left-out views, by which it falls for yarns that 
 
 @dataclass(frozen=True)
 class Interpolation:
-    """Hold the interpolation of a hemisphere."""
+    """The interpolation of a hemisphere."""
 
     basic: BasicReflectance  # the grid
     # (regions,): relative error of the views, each predicted from the others, as the root mean square of the logarithm
@@ -231,7 +231,7 @@ def complete(measured: ReflectanceSet, *, grid_deg: float = 3.0) -> tuple[Reflec
 
 
 def positive(values: np.ndarray) -> np.ndarray:
-    """(n,) bool: reflectances (n, channels) that have a logarithm in every channel."""
+    """Find reflectances (n, channels) that have a logarithm in every channel: (n,) bool."""
     return (np.isfinite(values) & (values > 0)).all(axis=-1)
 
 
@@ -243,7 +243,7 @@ def interpolate(
     symmetry: Symmetry = "quarter",
     grid_deg: float = 3.0,
 ) -> Interpolation:
-    """BRDF values (n, channels) > 0 at views (n, 3), light along the normal, on a regular grid of one region.
+    """Interpolate BRDF values (n, channels) > 0 at views (n, 3), light along the normal, on one region's regular grid.
 
     Logarithms are interpolated on the azimuthal equidistant disc, where neither the pole nor the azimuth has a seam,
     by a kernel that has the symmetry; so the result is positive, smooth and symmetric. Beyond the outermost views
@@ -323,7 +323,7 @@ def _fit(
 
 
 def grid_axes(grid_deg: float) -> tuple[np.ndarray, np.ndarray]:
-    """theta from 0 to pi/2 and phi round the azimuth (even number, quarter symmetric) in steps of about grid_deg."""
+    """Return theta, 0 to pi/2, and phi round the azimuth (even number, quarter symmetric), in steps near grid_deg."""
     steps = max(8, round(90 / grid_deg))
     return np.linspace(0, np.pi / 2, steps + 1), np.arange(4 * steps) * (np.pi / 2 / steps)
 
@@ -350,7 +350,7 @@ def gathered(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple
 
 
 def same_places(places: np.ndarray) -> np.ndarray:
-    """Group (n,) of each place: those nearer than a millionth of the disc's radius are one."""
+    """Group places (n,): those nearer than a millionth of the disc's radius are one."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -361,7 +361,7 @@ def same_places(places: np.ndarray) -> np.ndarray:
 
 
 def within_hull(places: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Places (m, 2) brought to the edge of the convex hull of the points, towards their centre, where outside.
+    """Bring places (m, 2) outside of the convex hull of the points to its edge, towards its centre.
 
     ValueError where all points lie in one line.
     """
@@ -380,14 +380,14 @@ def within_hull(places: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def solid_angles(basic: BasicReflectance) -> np.ndarray:
-    """(nt, np): share of the hemisphere's solid angle that belongs to each node; they add up to 1."""
+    """Compute the share (nt, np) of the hemisphere's solid angle of each node; they add up to 1."""
     edges = np.concatenate([[0.0], (basic.theta[1:] + basic.theta[:-1]) / 2, [np.pi / 2]])
     band = np.cos(edges[:-1]) - np.cos(edges[1:])
     return np.repeat(band[:, None] / len(basic.phi), len(basic.phi), axis=1)
 
 
 def directional_albedo(basic: BasicReflectance) -> np.ndarray:
-    """(regions, channels): share of the light along the normal that leaves the cloth, integral of rho cos(theta).
+    """Integrate rho cos(theta): the share (regions, channels) of the light along the normal that leaves the cloth.
 
     The midpoint rule over the grid's cells; above 1 is impossible and points to the white board's reflectance.
     """

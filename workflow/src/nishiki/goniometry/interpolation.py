@@ -10,7 +10,7 @@ FLOOR = 1e-9  # of the largest value: smaller ones, zeros among them, have no us
 
 
 def coefficients(values: np.ndarray) -> np.ndarray:
-    """Cubic B-spline coefficients (nt + 2 MARGIN, np + 2 MARGIN, channels) of log values (nt, np, channels).
+    """Compute cubic B-spline coefficients (nt + 2 MARGIN, np + 2 MARGIN, channels) of log values (nt, np, channels).
 
     Rows are theta from the pole to the horizon, columns phi round the azimuth (an even number). Beyond the pole the
     function goes on at phi + pi; beyond the horizon the logarithm goes on as a straight line. ValueError otherwise.
@@ -30,7 +30,7 @@ def coefficients(values: np.ndarray) -> np.ndarray:
 
 
 def _filtered(arc: np.ndarray, around: int, first: int, rows: int) -> np.ndarray:
-    """Spline coefficients along both axes; round the azimuth the filter is exactly periodic."""
+    """Compute spline coefficients along both axes; round the azimuth the filter is exactly periodic."""
     from scipy.ndimage import spline_filter1d
 
     inner = spline_filter1d(arc, 3, axis=0, mode="mirror")[first : first + rows]
@@ -41,7 +41,7 @@ def _filtered(arc: np.ndarray, around: int, first: int, rows: int) -> np.ndarray
 
 
 def evaluate(spline: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """exp of the spline (..., channels) at unit vectors (..., 3); 0 below the horizon."""
+    """Evaluate exp of the spline (..., channels) at unit vectors (..., 3); 0 below the horizon."""
     from scipy.ndimage import map_coordinates
 
     (rows, columns, _), (x, y, z) = spline.shape, outgoing.reshape(-1, 3).T
@@ -59,7 +59,7 @@ LEAST_SIGMA = 0.01  # of a logarithm: what repeated measurements leave at best
 
 @dataclass(frozen=True)
 class SmoothingSpline:
-    """Hold a fitted spline."""
+    """A fitted spline."""
 
     points: np.ndarray  # (n, 2) on the disc
     weights: np.ndarray  # (n, channels)
@@ -69,13 +69,13 @@ class SmoothingSpline:
     left_out: np.ndarray  # (n, channels): error of the logarithm at each point when it is predicted from the others
 
     def __call__(self, places: np.ndarray) -> np.ndarray:
-        """Logarithms (m, channels) at places (m, 2)."""
+        """Evaluate logarithms (m, channels) at places (m, 2)."""
         radial = symmetric_kernel(places, self.points, self.folds)
         return radial @ self.weights + trend_terms(places, self.folds) @ self.trend
 
 
 def symmetric_kernel(a: np.ndarray, b: np.ndarray, folds: np.ndarray) -> np.ndarray:
-    """Mean of r^3 over the distances from a (m, 2) to the images of b (n, 2): (m, n)."""
+    """Average r^3 over the distances from a (m, 2) to the images of b (n, 2): (m, n)."""
     total = np.zeros((len(a), len(b)))
     for fold in folds:
         image = b * fold
@@ -85,7 +85,7 @@ def symmetric_kernel(a: np.ndarray, b: np.ndarray, folds: np.ndarray) -> np.ndar
 
 
 def trend_terms(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
-    """1, x and y (m, terms): those that the symmetry leaves."""
+    """Return 1, x and y (m, terms): those that the symmetry leaves."""
     kept = [axis for axis in (0, 1) if (folds[:, axis] == 1).all()]
     return np.column_stack([np.ones(len(places)), *(places[:, axis] for axis in kept)])
 

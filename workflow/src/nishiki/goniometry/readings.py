@@ -14,7 +14,7 @@ TILE = 4  # pixels: the noise of neighbours, and the texture of yarns, go togeth
 
 @dataclass(frozen=True)
 class WindowSample:
-    """Hold the mean of a window."""
+    """The mean of a window."""
 
     mean: np.ndarray  # (channels,) float64 in the units of the pixels
     noise: np.ndarray  # (channels,): standard deviation of the mean
@@ -23,7 +23,7 @@ class WindowSample:
 
 
 def read_window(linear: np.ndarray, usable: np.ndarray, saturated: np.ndarray) -> WindowSample:
-    """Mean over the usable pixels of an image (rows, columns, channels) and its standard deviation.
+    """Average the usable pixels of an image (rows, columns, channels); estimate the mean's standard deviation.
 
     The scatter is that between tiles of TILE x TILE pixels, each weighted by its usable pixels: neighbours that vary
     together would otherwise pass for independent. Saturated pixels enter the mean; their share is told.
@@ -50,7 +50,7 @@ def read_window(linear: np.ndarray, usable: np.ndarray, saturated: np.ndarray) -
 
 
 def central_window(shape: tuple[int, int], side: int) -> np.ndarray:
-    """(rows, columns) bool: the square of this side in the middle."""
+    """Mark the square of this side in the middle: (rows, columns) bool."""
     inside = np.zeros(shape, bool)
     (top, height), (left, width) = (((n - min(n, side)) // 2, min(n, side)) for n in shape)
     inside[top : top + height, left : left + width] = True
@@ -77,7 +77,7 @@ def axes_of(theta_r: float, phi_r: float, upright: str) -> tuple[np.ndarray, np.
 def regions_in_view(
     labels: np.ndarray, shape: tuple[int, int], *, theta_r: float, phi_r: float, upright: str, scale: float = 1.0
 ) -> np.ndarray:
-    """Labels (rows, columns) uint16 of a photograph of this shape taken from (theta_r, phi_r), by parallel projection.
+    """Project the labels to a photograph of this shape taken from (theta_r, phi_r) in parallel: (rows, columns) uint16.
 
     labels: of the cloth seen along its normal, warp up, its middle where the axes of the goniometer meet, in the
     middle of every photograph; scale: size of the photograph's pixel over that of the label picture's. A pixel has a
@@ -105,7 +105,7 @@ Rule = Literal["own", "incidence", "cosine"]
 
 @dataclass(frozen=True)
 class Boards:
-    """Hold the boards of a sample."""
+    """The boards of a sample."""
 
     # own (the sample's pair of directions), incidence (its light), or cosine (all boards, by the cosine law)
     rule: Rule
@@ -155,7 +155,7 @@ def _of(light: np.ndarray, view: np.ndarray, lights: np.ndarray, views: np.ndarr
 
 @dataclass(frozen=True)
 class Averaged:
-    """Hold averages over repeats."""
+    """Averages over repeats."""
 
     rows: np.ndarray  # (m,): index of the first measurement of each pair of directions
     values: np.ndarray  # values, noise: (m, regions, channels)
@@ -185,7 +185,7 @@ def reflectance(
 def average_repeats(
     angles_deg: np.ndarray, values: np.ndarray, noise: np.ndarray, valid: np.ndarray, exposures: np.ndarray
 ) -> Averaged:
-    """Measurements of the same pair of directions as one: weighted by exposure time, those not valid left out.
+    """Average measurements of the same pair of directions, weighted by exposure time, those not valid left out.
 
     angles_deg (n, 4); values, noise (n, regions, channels); valid (n, regions); exposures (n,) > 0. The order of the
     first measurements is kept. Where none of a pair is valid the result is 0 and not valid.
@@ -224,7 +224,7 @@ class Photograph:
 
 @dataclass(frozen=True)
 class Regions:
-    """Hold the labels of regions."""
+    """The labels of regions."""
 
     labels: np.ndarray  # picture of the cloth along its normal
     numbers: tuple[int, ...]  # labels in order
@@ -234,7 +234,7 @@ class Regions:
 
 @dataclass(frozen=True)
 class Readings:
-    """Hold the reflectances read from photographs."""
+    """The reflectances read from photographs."""
 
     values: np.ndarray  # values, noise (n, regions, channels) float64, sr^-1
     noise: np.ndarray
@@ -293,7 +293,7 @@ def _middle(photograph: Photograph, window_px: int) -> WindowSample:
 
 
 def _masks(photograph: Photograph, angles_deg: np.ndarray, window_px: int, regions: Regions | None):
-    """One mask a region."""
+    """Make one mask a region."""
     shape = photograph.usable.shape
     if regions is None:
         return [central_window(shape, window_px)]

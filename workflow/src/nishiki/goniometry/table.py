@@ -31,7 +31,7 @@ class BasicReflectance:
     extrapolated: np.ndarray | None = None
 
     def evaluate(self, outgoing: np.ndarray, region: int = 0) -> np.ndarray:
-        """Values (..., channels) float64, sr^-1, at unit vectors (..., 3); 0 below the horizon.
+        """Evaluate the BRDF (..., channels) float64, sr^-1, at unit vectors (..., 3); 0 below the horizon.
 
         Bicubic spline of the logarithm, periodic in phi, continued through the pole: positive and smooth everywhere.
         """
@@ -44,7 +44,7 @@ class BasicReflectance:
 
 @dataclass(frozen=True)
 class ReflectanceSet:
-    """What a goniometer measured: one BRDF value for each pair of directions, region and channel.
+    """Measurements of a goniometer: one BRDF value for each pair of directions, region and channel.
 
     incident, outgoing (n, 3) float64: unit vectors away from the cloth, x weft, y warp, z normal; values
     (n, regions, channels) float64, sr^-1, 0 where not valid; noise: likewise, standard deviation of the mean, 0 where

@@ -8,7 +8,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Decision:
-    """One thing left out, or kept, because of a measured criterion."""
+    """One omission, or inclusion, by a measured criterion."""
 
     what: str  # the name it has in the diagnostics
     decision: str  # what was decided, in words
@@ -24,7 +24,7 @@ class Decision:
         return {named.pop("what"): {name: _plain(value) for name, value in named.items()}}
 
     def __str__(self) -> str:
-        """One line of the log."""
+        """Format one line of the log."""
         numbers = ""
         if self.measured is not None:
             numbers = f" ({self.criterion}: {self.measured:.4g}"
@@ -42,12 +42,12 @@ def economy(*decisions: Decision | None) -> dict[str, dict]:
 
 
 def _plain(value):
-    """Floats with six digits: more would only differ from machine to machine."""
+    """Round floats to six digits: more would only differ from machine to machine."""
     return float(f"{value:.6g}") if isinstance(value, float) else value
 
 
 def decide_gloss(finishes: Sequence[dict], kept: np.ndarray, setting: str) -> Decision:
-    """Say what was decided of the gloss of a scene's finishes, by captured lamps left out.
+    """Decide on the gloss of a scene's finishes, by held-out captured lamps.
 
     finishes : of the diagnostics of `normals`; kept (finishes,) bool: whether their gloss is.
     """
@@ -71,7 +71,7 @@ FEWEST_TEXELS = 30  # texels below which nothing is said
 
 @dataclass(frozen=True)
 class Gain:
-    """Hold the gain of a lobe."""
+    """Gain of a lobe."""
 
     keep: bool  # whether the specular part is worth having
     gain_db: float  # of unseen observations
@@ -118,7 +118,7 @@ def unseen_gain(
 
 
 def _fitted(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """K_d q + K_s s at all observations, every texel and channel, K_d and K_s >= 0.
+    """Fit K_d q + K_s s at all observations, every texel and channel, K_d and K_s >= 0.
 
     K_s is the texel's own, drawn towards that of the object by as much as an average texel knows of it: a texel that is
     not seen near the mirror direction takes the object's.

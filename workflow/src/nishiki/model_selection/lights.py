@@ -1,4 +1,4 @@
-"""Choose the lights of a fit: evenly spread, as few as leave the normals where all lights put them."""
+"""Choose the lights of a fit: evenly spread, as few as give nearly the normals of all lights."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from nishiki.photometric.solve import NormalField, estimate_normals
 
 
 def spread_order(directions: np.ndarray) -> np.ndarray:
-    """All directions in an order whose every beginning is evenly spread, (n,) int64.
+    """Sort all directions so that every beginning of the order is evenly spread, (n,) int64.
 
     directions (n, 3), unit or positions of any length. The first is the one nearest to their mean; each further one is
     the farthest from those before it, the earlier of equals (T. F. Gonzalez, Clustering to minimize the maximum
@@ -40,14 +40,14 @@ def spread_order(directions: np.ndarray) -> np.ndarray:
 
 
 def _squares(directions: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Squared distances to a point, rounded: sums in another order must not change who is the farthest."""
+    """Compute squared distances to a point, rounded: sums in another order must not change the farthest point."""
     return np.round(np.sum((directions - point) ** 2, axis=1), 12)
 
 
 LIMIT_DEG = 0.2  # by which half of the normals may move
 WORTH = 30_000_000  # samples (lights x pixels) from which the choice costs less than the lights that it saves
 FEWEST = 32
-"""Lights that are always kept: up to 24 the joint fit begins, and selection needs samples beside gloss and shadow."""
+"""Least number of lights: up to 24 the joint fit begins, and selection needs samples beside gloss and shadow."""
 OVERRIDE = "normals.lights: all, auto or a number"
 
 
@@ -61,11 +61,11 @@ class LightSample:
 
 
 Solve = Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, NormalField]]
-"""(observations, directions, valid) -> (usable samples, normals): selection and solution as the stages do them."""
+"""Solver from (observations, directions, valid) to (usable samples, normals), as in the stages."""
 
 
 def static_choice(directions: np.ndarray, setting: int) -> tuple[np.ndarray, Decision | None]:
-    """(rows of the lights used, in rising order; what was decided) for a number; at least as many as there are: all."""
+    """Choose a number of lights (all if there are no more); return (their rows, in rising order; the decision)."""
     count = len(directions)
     if setting >= count:
         return np.arange(count), None
@@ -98,7 +98,7 @@ def measured_choice(
     samples: Sequence[LightSample],
     solve: Solve,
 ) -> tuple[np.ndarray, Decision | None]:
-    """As `static_choice`, with the number found: the fewest lights by which half of the sample's normals stay in place.
+    """Choose as `static_choice`, but the fewest lights by which half of the sample's normals stay in place.
 
     First predicted, then checked by solving the sample with the lights chosen; a quarter more of them
     until the check is passed. None decided where there are no more than FEWEST lights, or no pixel to judge by.
@@ -140,7 +140,7 @@ def measured_choice(
 
 
 def added_deg(rows: np.ndarray, samples: Sequence[LightSample], full) -> float:
-    """Angle that fewer lights are expected to add to the error of a normal, degrees: median over the pixels.
+    """Predict the angle that fewer lights add to the error of a normal, degrees: median over the pixels.
 
     Lambert's law with noise of standard deviation s gives the scaled normal the covariance s^2 M^-1, M the sum of l l^T
     over the usable lights; across the normal its trace is the variance of the direction. With s from the fit to all
@@ -160,7 +160,7 @@ def added_deg(rows: np.ndarray, samples: Sequence[LightSample], full) -> float:
 
 
 def _across(directions: np.ndarray, masks: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """(pixels,) trace of the inverse of sum of l l^T across the normal; infinite where it is singular."""
+    """Compute (pixels,) trace of the inverse of sum of l l^T across the normal; infinite where it is singular."""
     matrix = np.einsum("lp,la,lb->pab", masks, directions, directions)
     regular = np.linalg.cond(matrix) < 1e10
     inverse = np.linalg.inv(np.where(regular[:, None, None], matrix, np.eye(3)))
@@ -169,7 +169,7 @@ def _across(directions: np.ndarray, masks: np.ndarray, normals: np.ndarray) -> n
 
 
 def moved_deg(rows: np.ndarray, samples: Sequence[LightSample], full, solve: Solve) -> float:
-    """Median angle between the normals of the lights `rows` and those of all, degrees; lost pixels count 90."""
+    """Compute the median angle between normals of the lights `rows` and of all, degrees; lost pixels count 90."""
     angles = []
     for chosen, (_, field) in zip(samples, full, strict=True):
         fewer = solve(chosen.observations[rows], chosen.directions[rows], chosen.valid[rows])[1]
@@ -186,7 +186,7 @@ PIXELS = 1200  # of the sample
 
 
 def choose_lights(frames: Observations, lights: np.ndarray, settings) -> tuple[np.ndarray, Decision | None]:
-    """(rows of `lights` that the fit uses, what was decided); settings: of separate, or of normals without it."""
+    """Choose the rows of `lights` for the fit; return the decision too; settings: of separate, else of normals."""
     directions = frames.directions[lights]
     if settings.lights == "all" or (settings.lights == "auto" and len(lights) <= FEWEST):
         return np.arange(len(lights)), None

@@ -1,4 +1,4 @@
-"""Decide by omitted lamps which normals and which gloss predict photographs best.
+"""Decide by held-out lamps which normals and which gloss predict photographs best.
 
 Lamps of the fit are left out by fifths, the others fit every candidate on a sample of the pixels, and the CIEDE2000 of
 predictions against photographs is compared: normals by the selection alone (`plain`), with directional terms
@@ -41,7 +41,7 @@ MID_GREY = 0.2  # that the median sample becomes: a colour difference depends on
 
 @dataclass(frozen=True)
 class Sampled:
-    """Hold sampled pixels under one set of directions."""
+    """Sampled pixels under one set of directions."""
 
     # (lights, 1, pixels, channels), usable and valid (lights, 1, pixels) bool, and their parcel
     observations: np.ndarray
@@ -75,7 +75,7 @@ class Sampled:
 
 @dataclass(frozen=True)
 class Fitted:
-    """One candidate: maps of `nishiki.stages.normals`, and the gloss that they were fitted with, or None."""
+    """One candidate: maps of `nishiki.stages.normals`, and the gloss of their fit, or None."""
 
     maps: dict
     gloss: GlossProfile | None = None
@@ -92,7 +92,7 @@ class Fitted:
 
 
 def choose_model(errors: dict[str, np.ndarray]) -> tuple[str, Decision]:
-    """Name of the model of relighting, and the decision; "plain" where the directional terms are not clearly better.
+    """Choose the model of relighting, and return the decision; "plain" unless directional terms are clearly better.
 
     errors : of `left_out_errors`, of "plain" and "directional".
     """
@@ -117,7 +117,7 @@ def choose_model(errors: dict[str, np.ndarray]) -> tuple[str, Decision]:
 def left_out_errors(
     pieces: Sequence[Sampled], fit: Callable[[Sampled], dict[str, Fitted]], scene: Sequence[Sampled] = ()
 ) -> dict[str, np.ndarray]:
-    """Mean CIEDE2000 (lights,) over the valid samples of each light, left out of the fit in turn, by candidate.
+    """Compute mean CIEDE2000 (lights,) over each light's valid samples, held out in turn, by candidate.
 
     scene : pieces that tell the level of the scene, where it is not that of `pieces`.
     """
@@ -149,7 +149,7 @@ def left_out_errors(
 
 
 def interpolated(directions: np.ndarray) -> np.ndarray:
-    """Tell which lights (n, 3) those of other folds surround, or nearly; all if fewer than FEWEST / 2 are."""
+    """Select the lights (n, 3) that those of other folds surround, or nearly; all if fewer than FEWEST / 2 are."""
     from scipy.optimize import nnls
 
     fold, near = np.arange(len(directions)) % FOLDS, np.zeros(len(directions), bool)
@@ -162,7 +162,7 @@ def interpolated(directions: np.ndarray) -> np.ndarray:
 
 
 def remaining_gloss(pieces: Sequence[Sampled], candidates: Sequence[Fitted]) -> GlossProfile:
-    """Gloss of all pieces together, fitted to what the body of a candidate leaves."""
+    """Fit the gloss of all pieces together to the residual of a candidate's body."""
     unit = unit_of([candidate.maps["reflectance"] for candidate in candidates])
     nothing = GlossProfile(np.zeros(LADDER.size), LADDER, transmission=0.0, unit=unit)
     histogram = SpecularHistogram.empty(value_unit=unit)
@@ -182,7 +182,7 @@ def remaining_gloss(pieces: Sequence[Sampled], candidates: Sequence[Fitted]) -> 
 
 
 def colour_differences(first: np.ndarray, second: np.ndarray, compared: np.ndarray) -> np.ndarray:
-    """CIEDE2000 of pictures (lights, rows, columns, channels), 0 where not compared; channels as linear sRGB."""
+    """Compute CIEDE2000 of pictures (lights, rows, columns, channels) as linear sRGB, 0 where not compared."""
     colour = assumed_colour(first.shape[-1])
     differences = np.zeros(compared.shape, np.float32)
     for one, other, where, values in zip(first, second, compared, differences, strict=True):
@@ -194,7 +194,7 @@ LEAST_GAIN = 0.02  # part of the error of left-out lamps that a finish more has 
 
 
 def joint_fit_counts(errors: dict[str, np.ndarray]) -> bool:
-    """Tell whether the joint fit predicts lamps left out better than the normals of the selection, by ERRORS.
+    """Decide whether the joint fit predicts held-out lamps better than the normals of the selection, by ERRORS.
 
     On surfaces whose gloss it takes for another, and on matt ones with interreflections, it does not, and its normals
     are worse. Ratios of the errors are compared, for one lamp near the mirror direction outweighs all differences, and

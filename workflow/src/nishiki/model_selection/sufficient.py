@@ -1,4 +1,4 @@
-"""Decide how many spectral bases, reflection parameters and views of a cloth a capture supports."""
+"""Decide on the spectral bases, reflection parameters and views of a cloth that a capture supports."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ MOST_BASES = 16  # that a fit may have
 
 @dataclass(frozen=True)
 class Bases:
-    """Hold the choice of bases."""
+    """Choice of bases."""
 
     count: int  # sufficient number of bases
     loss: float  # its addition to the expected error, as a part of it
@@ -27,7 +27,7 @@ class Bases:
 
 
 def output_bases(estimates: np.ndarray, mean_square: float, *, limit: float = LOSS, most: int = MOST_BASES) -> Bases:
-    """Fewest output bases (the constant included) whose expected error is within `limit` of that of all.
+    """Find the fewest output bases (with the constant) whose expected error is within `limit` of that of all.
 
     estimates (M, 61): of the training spectra, from their noise-free responses; mean_square: of the estimator's error
     on them (each left out in turn), averaged over the bands. What K bases lose of the estimates is the energy of the
@@ -101,7 +101,7 @@ STEP = 0.5  # of the parameters' quantiser, in standard deviations of what is le
 
 @dataclass(frozen=True)
 class Left:
-    """What the model leaves on a sample: mean square (full scale 1), structure: share that neighbours tell, pixels."""
+    """Residual on a sample: mean square (full scale 1), structure: share common to neighbours, pixels."""
 
     mean_square: float
     structure: float
@@ -109,17 +109,17 @@ class Left:
 
     @property
     def psnr_db(self) -> float:
-        """Of the model alone; 200 where nothing is left."""
+        """PSNR of the model alone; 200 without residual."""
         return min(200.0, float(-10 * np.log10(max(self.mean_square, 1e-20))))
 
     @property
     def step(self) -> float:
-        """Quantiser step at which coding the parameters adds next to nothing."""
+        """Quantiser step at which coding the parameters adds a negligible error."""
         return max(STEP * float(np.sqrt(self.mean_square)), 1e-5)
 
 
 def what_is_left(tiles) -> Left:
-    """From (left (channels, n), observation (n,), s (n,), t (n,)) of some tiles; s, t: places in texels.
+    """Summarise (left (channels, n), observation (n,), s (n,), t (n,)) of some tiles; s, t: places in texels.
 
     structure: correlation of what is left at a pixel with what is left at its nearest neighbour, in the same picture
     and, where another picture sees the place within REACH, in that one; the larger of the two (J. von Neumann, Ratio of
@@ -159,7 +159,7 @@ def _pairs(observation: np.ndarray, s: np.ndarray, t: np.ndarray) -> list[tuple[
 
 
 def model_suffices(left: Left, target: str, amount: float, *, limit: float = LIMIT) -> bool:
-    """Whether nothing but the model needs to be stored: it reaches a PSNR asked for, or leaves noise alone."""
+    """Check whether storing the model suffices: it reaches a required PSNR, or its residual is noise."""
     if left.pixels == 0:
         return False
     if target == "psnr":
@@ -188,7 +188,7 @@ GROWTH = 1.4  # from one number that is tried to the next
 
 
 def normal_order(measured: ReflectanceSet) -> np.ndarray:
-    """Rows of the usable views at normal incidence, every beginning of them evenly spread over the reduced hemisphere.
+    """Sort the usable normal-incidence views; every beginning is evenly spread over the reduced hemisphere.
 
     Usable: valid in every region. The distance is that on the azimuthal equidistant disc, where they are interpolated.
     """
@@ -208,7 +208,7 @@ def with_normal_rows(measured: ReflectanceSet, rows: np.ndarray) -> ReflectanceS
 
 
 def static_choice(measured: ReflectanceSet, setting: str | int) -> tuple[np.ndarray | None, Decision | None]:
-    """(rows of normal incidence that are used, or None for all; what was decided) for 'all' or a number."""
+    """Choose rows of normal incidence, or None for all, for 'all' or a number; return the decision too."""
     if setting == "all":
         return None, None
     order = normal_order(measured)
@@ -227,7 +227,7 @@ def static_choice(measured: ReflectanceSet, setting: str | int) -> tuple[np.ndar
 
 
 def measured_choice(measured: ReflectanceSet, *, grid_deg: float) -> tuple[np.ndarray | None, Decision | None]:
-    """As `static_choice`, with the number found: the fewest views from which the others are told within the limit.
+    """Choose as `static_choice`, but the fewest views that predict the others within the limit.
 
     Numbers grow by GROWTH from FEWEST; of each the hemisphere is completed from the views used on a grid
     of `grid_deg` degrees (`hemisphere.complete`) and compared with the measured values of the others (`unseen_error`).
@@ -259,7 +259,7 @@ def measured_choice(measured: ReflectanceSet, *, grid_deg: float) -> tuple[np.nd
 
 
 def unseen_error(measured: ReflectanceSet, order: np.ndarray, number: int, *, grid_deg: float) -> float:
-    """Cosine-weighted relative root mean square of the views order[number:], told from order[:number]; worst region.
+    """Compute the cosine-weighted relative RMS error of views order[number:] from order[:number]; worst region.
 
     order: rows of the views at normal incidence. Infinite where the views used do not span the hemisphere.
     """

@@ -31,7 +31,7 @@ WRONG = 0.5, 2.0  # residual of a wrong overlap: pixels, and relative to that of
 
 @dataclass(frozen=True)
 class Placement:
-    """Where the fields lie in the mosaic.
+    """Positions of the fields in the mosaic.
 
     fields : fields, by number
     position : (fields, 2) float64

@@ -24,7 +24,7 @@ from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 
 LEAST = 1e-3  # z of a normal, and reflectance
 Reader = Callable[[str, slice], np.ndarray]
-"""From the name of a map and a slice of its rows to values."""
+"""Reader of values from the name of a map and a slice of its rows."""
 CELL, SQUARE = 32, 8  # pixels: distance between the areas at which fields are compared, and the areas' side
 NODES = 16  # pixels between places that are computed
 CELLS = 8  # rows of these areas that are compared at a time
@@ -54,13 +54,13 @@ class Samples:
     values: np.ndarray
 
     def only(self, chosen: np.ndarray) -> "Samples":
-        """Return the chosen ones."""
+        """Return the chosen samples."""
         return Samples(self.pair[chosen], self.place[chosen], self.values[chosen])
 
 
 @dataclass(frozen=True)
 class Levels:
-    """own : (fields, quantities), c; slow : (terms, quantities), w."""
+    """Levels of the fields. own : (fields, quantities), c; slow : (terms, quantities), w."""
 
     own: np.ndarray
     slow: np.ndarray
@@ -148,7 +148,7 @@ def left_out_error(samples: Samples, fields: int, terms: int | None) -> float:
 
 @dataclass(frozen=True)
 class Piece:
-    """What one field shows of a part of the mosaic.
+    """One field's values in a part of the mosaic.
 
     columns : slice of the part's columns
     maps : by name (rows, columns, ...)

@@ -61,7 +61,7 @@ class Overlap:
     points : (2, n, 2) float64
         Places in the first and in the second field that show the same.
     covariance : (n, 2, 2) float64
-        Of the places in the second one.
+        Covariance of the places in the second field.
     problem : str
         Why the overlap is not used: 'ambiguous' or 'contradicts'; empty where it is used.
     """
@@ -74,7 +74,7 @@ class Overlap:
 
 
 def signals(reflectance: np.ndarray, normals: np.ndarray) -> np.ndarray:
-    """Combine reflectance (rows, columns, channels) and normals into what is compared: log, x, y; float32."""
+    """Combine reflectance (rows, columns, channels) and normals into signals to compare: log, x, y; float32."""
     logarithm = np.log(np.maximum(reflectance.mean(axis=-1), 0) + FLOOR)
     return np.concatenate([logarithm[..., None], normals[..., :2]], axis=-1).astype(np.float32)
 
@@ -314,7 +314,7 @@ def match_window(first: np.ndarray, second: np.ndarray, known: np.ndarray) -> tu
 
 
 def fit_similarity(points: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Fit the similarity (2, 3) that takes points[0] to points[1] (2, n, 2) robustly; with which agree, (n,) bool."""
+    """Fit the similarity (2, 3) from points[0] to points[1] (2, n, 2) robustly; return which agree, (n,) bool, too."""
     middle = points[0].mean(axis=0)
     (x, y), one, none = (points[0] - middle).T, np.ones(points.shape[1]), np.zeros(points.shape[1])
     design = np.stack([np.stack([one, none, x, -y], 1), np.stack([none, one, y, x], 1)], 1)  # (n, 2, 4)

@@ -1,4 +1,4 @@
-"""Everything wrong with a capture, in one pass."""
+"""Find all problems of a capture in one pass."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def check_capture(
     progress: Callable[[str], None] | None = None,
     judged: Callable[[Judgement], None] = lambda judgement: None,
 ) -> list[Problem]:
-    """All problems of a capture folder, errors first; an empty list means that nothing was found.
+    """List all problems of a capture folder, errors first; an empty list means that nothing was found.
 
     quick: tables, headers of all photographs, mask. full: also decodes every photograph (damage, saturation, white
     boards, samples that are not finite), compares every digest of a sealed capture, and the photographs of a plane with
@@ -79,7 +79,7 @@ def check_capture(
 
 
 def _unlisted(capture: AnyCapture) -> list[Problem]:
-    """Files in the payload that no table names: harmless, but perhaps a forgotten photograph."""
+    """Warn of files in the payload that no table names: harmless, but perhaps a forgotten photograph."""
     settings = capture.settings
     named = [settings.camera.sensitivities, settings.illuminant, "capture.yaml"]
     named += [name for frame in capture.frames for name in frame.names]
@@ -166,7 +166,7 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
 
 
 def _turned(problem: Problem, headers: dict[str, ImageHeader]) -> Problem:
-    """Say of a photograph whose rows and columns are exchanged that it was turned."""
+    """Warn that a photograph with exchanged rows and columns was rotated."""
     header = headers.get(problem.file)
     if problem.kind != "image-size" or not header or f"{header.columns} x {header.rows}" not in problem.expected:
         return problem
@@ -175,7 +175,7 @@ def _turned(problem: Problem, headers: dict[str, ImageHeader]) -> Problem:
 
 
 def _coding_problems(headers: dict[str, ImageHeader], encoding: str) -> list[Problem]:
-    """Name photographs of another coding than most, statements that cannot be used or are overruled, orientations."""
+    """List photographs of unusual codings, unusable or overruled statements, and orientations."""
     problems: list[Problem] = []
     distinct: list[Coding] = []
     names, overruled = {}, []
@@ -226,7 +226,7 @@ def _exposure_problems(capture: AnyCapture, headers: dict[str, ImageHeader]) -> 
 
 
 def _exceptions(values: dict[str, str], kind: str, what: str, remedy: str) -> list[Problem]:
-    """Name the files whose value is another one than that of most files."""
+    """List files whose value differs from that of most files."""
     counts = Counter(values.values())
     usual, count = counts.most_common(1)[0] if counts else ("", 0)
     like = next((file for file, value in values.items() if value == usual), "")
@@ -237,7 +237,7 @@ def _exceptions(values: dict[str, str], kind: str, what: str, remedy: str) -> li
 
 
 def _mask_problems(capture: Capture, size: tuple[int, int]) -> list[Problem]:
-    """Mask and regions: readable, of the frames' size, not empty, with values and a shape that leave no doubt."""
+    """Check mask and regions: readable, of the frames' size, not empty, with unambiguous values and shape."""
     try:
         region = region_of(capture, *size)
     except CaptureError:
@@ -249,7 +249,7 @@ def _mask_problems(capture: Capture, size: tuple[int, int]) -> list[Problem]:
 def _content_problems(
     capture: Capture, judged: Callable[[Judgement], None], tick: Callable[[str], None]
 ) -> list[Problem]:
-    """Find what only decoding shows."""
+    """Find problems that only decoding reveals."""
     try:
         reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
     except CaptureError as e:
@@ -295,5 +295,5 @@ def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tu
 
 
 def failed(problems: list[Problem]) -> bool:
-    """Whether the capture cannot be used."""
+    """Check whether the capture cannot be used."""
     return any(p.severity == "error" for p in problems)

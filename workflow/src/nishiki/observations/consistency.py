@@ -1,4 +1,4 @@
-"""The photographs of a plane capture against each other: reduced while they are decoded, then judged together.
+"""Compare the photographs of a plane capture: reduced while they are decoded, then judged together.
 
 The check of a capture and ingest measure the same by the same: the movement of the camera
 (`nishiki.observations.registration`), and with the photographs brought together what each says of its lamp
@@ -41,7 +41,7 @@ LEAST_IMPROVEMENT = 0.07  # of the misfit that undoing a movement takes away: 0.
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the photographs say of themselves and of their lamps."""
+    """Evidence of the photographs on themselves and on their lamps."""
 
     lights: tuple[int, ...]  # places of the lamps in the lights file
     names: tuple[str, ...]  # files of the photographs
@@ -69,12 +69,12 @@ class Judgement:
 
     @cached_property
     def arrangement(self) -> Arrangement | None:
-        """Order and axes of the lamps that explain the photographs best; None where nothing can be told."""
+        """Order and axes of the lamps that fit the photographs best; None where undetermined."""
         return arrange(self.grey, self.lamps)
 
     @cached_property
     def pairs(self) -> BoardPairs | None:
-        """Boards that belong to the photographs; None where there are none, or nothing can be told."""
+        """Boards that belong to the photographs; None where there are none, or where undetermined."""
         return None if self.boards is None else pair_boards(self.grey, self.boards, self.lamps)
 
     @cached_property
@@ -140,7 +140,7 @@ class ReducedPhotographs:
         return codes.astype(np.float32) if codes.dtype.kind == "f" else self.reader.table[codes]
 
     def _reduced(self, codes: np.ndarray) -> np.ndarray:
-        """Linear light (rows, columns, channels) of the mean of each block, NaN where a pixel of it is saturated."""
+        """Compute linear light (rows, columns, channels) of the mean of each block, NaN where a pixel is saturated."""
         import cv2
 
         (rows, columns), cells = self.shape, min(CELLS, self.step)
@@ -152,7 +152,7 @@ class ReducedPhotographs:
         return values
 
     def _spread(self, gain: np.ndarray) -> np.ndarray:
-        """Spread a gain (r, c, channels) to the pixels of the reduced picture, or return the one of all."""
+        """Interpolate a gain (r, c, channels) to the pixels of the reduced picture, or return the common one."""
         import cv2
 
         if gain.shape[:2] == (1, 1):
@@ -165,7 +165,7 @@ class ReducedPhotographs:
         return whole[top : top + self.shape[0], left : left + self.shape[1]]
 
     def judge(self, places: Sequence[int] | None = None) -> Judgement | None:
-        """Compare the photographs with each other, those of these lamps in their order.
+        """Compare the photographs under these lamps with each other, in the lamps' order.
 
         None where there are too few, and of pictures rendered from a relightable image: the lamps are those that it was
         rendered under, and its smooth shadows would pass for light of the room. The photographs are brought together
@@ -215,7 +215,7 @@ class ReducedPhotographs:
         return Window(list(pictures), self.inside, corner, np.full(2, float(self.step)))
 
     def _divided(self, values: np.ndarray, places: tuple[int, ...]) -> np.ndarray:
-        """Divide the values by their boards or by the strengths of the lamps, unless their gains did that."""
+        """Divide the values by their boards or by the strengths of the lamps, unless their gains include these."""
         capture = self.reader.capture
         if self.gain is not None:
             return values
@@ -245,12 +245,12 @@ class ReducedPhotographs:
         )
 
     def _board_cosine(self, place: int) -> np.ndarray | float:
-        """cos(theta_W) at each pixel of the reduced picture, or one for all."""
+        """Compute cos(theta_W) at each pixel of the reduced picture, or one for all."""
         edges = tuple(part.start + self.step * np.arange(n + 1) for part, n in zip(self.part, self.shape, strict=True))
         return board_cosine(self.reader, self.reader.capture.lights.names[place], edges)
 
     def _lamps(self, places: tuple[int, ...]) -> np.ndarray:
-        """Vectors to the lamps, (lights, 3); of lamps at known positions at each pixel, as long as their light is."""
+        """Compute lamp vectors (lights, 3), scaled by their light; for known positions at each pixel."""
         capture = self.reader.capture
         if capture.settings.lights.kind != "position_mm":
             return capture.lights.directions[list(places)]
@@ -268,7 +268,7 @@ class ReducedPhotographs:
 
 
 def movement_problems(judgement: Judgement, registers: bool | None = None) -> list[Problem]:
-    """Warn that the camera moved. registers: whether photographs are moved back; None where that is left to ingest."""
+    """Warn of camera movement. registers: whether photographs are moved back; None where ingest decides that."""
     moved, movement = judgement.moved, judgement.movement
     if not moved.any():
         return []
@@ -289,7 +289,7 @@ def movement_problems(judgement: Judgement, registers: bool | None = None) -> li
 
 
 def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Problem]:
-    """List what a user should know of a judgement; errors where the lamps do not belong to their photographs."""
+    """List problems of a judgement for the user; errors where the lamps do not match their photographs."""
     if judgement is None:
         return []
     problems = movement_problems(judgement) + pair_problems(judgement, capture)
@@ -304,7 +304,7 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
 
 
 def pair_problems(judgement: Judgement, capture: Capture) -> list[Problem]:
-    """Warn of white boards that belong to other photographs, and of photographs that no board explains."""
+    """Warn of white boards that belong to other photographs, and of photographs that match no board."""
     pairs, problems = judgement.pairs, []
     if pairs is None:
         return []
@@ -327,7 +327,7 @@ def pair_problems(judgement: Judgement, capture: Capture) -> list[Problem]:
 
 
 def useless_photographs(found: Consistency | None, names: Sequence[str]) -> dict[int, tuple[str, str]]:
-    """Select photographs of no use, by number: the kind of the problem, and the reason."""
+    """Select unusable photographs, by number: the kind of the problem, and the reason."""
     if found is None:
         return {}
     useless = dict.fromkeys(found.failed, ("lamp-failed", "its lamp did not burn"))
@@ -340,7 +340,7 @@ def useless_photographs(found: Consistency | None, names: Sequence[str]) -> dict
 def useless_problems(
     useless: dict[int, tuple[str, str]], names: Sequence[str], leaves: bool | None = None
 ) -> list[Problem]:
-    """Warn of photographs of no use; leaves: whether they are left out, None where that is left to ingest."""
+    """Warn of unusable photographs; leaves: whether they are omitted, None where ingest decides that."""
     done = {True: "is left out", False: "is of no use", None: "is of no use; ingest leaves it out"}[leaves]
     remedy = "Photograph it again" + (", or set ingest.correct.leave_out: auto" if leaves is False else "")
     return [
@@ -350,7 +350,7 @@ def useless_problems(
 
 
 def ambient_problems(found: Consistency, capture: Capture, subtracts: bool | None = None) -> list[Problem]:
-    """Warn of light of the room; subtracts: whether it is subtracted, None where that is left to ingest."""
+    """Warn of ambient light; subtracts: whether it is subtracted, None where ingest decides that."""
     if found.ambient <= max(LEAST_AMBIENT, SURE * found.ambient_sigma):
         return []
     what = "the photographs contain light of the room"
@@ -380,7 +380,7 @@ def near_problems(near: NearLamps | None, capture: Capture) -> list[Problem]:
 
 
 def _arrangement_problems(judgement: Judgement, arrangement: Arrangement, capture: Capture) -> list[Problem]:
-    """lights-order and lights-axes, as errors with the option of `convert` that mends them."""
+    """Make lights-order and lights-axes, as errors with the option of `convert` that corrects them."""
     file = capture.settings.lights.file
     if arrangement.as_stated:
         decided = capture.settings.lights.axes_confirmed or (capture.payload / MIRROR_BALLS).exists()
@@ -421,7 +421,7 @@ def _arrangement_problems(judgement: Judgement, arrangement: Arrangement, captur
 
 
 def order_text(order: list[int]) -> str:
-    """Write an order of lamps as `--lights-order` reads it."""
+    """Write an order of lamps in the syntax of `--lights-order`."""
     count, number = len(order), list(range(len(order)))
     if order == number[::-1]:
         return "reverse"

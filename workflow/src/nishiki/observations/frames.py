@@ -27,9 +27,9 @@ from nishiki.threads import strips
 
 AnyCapture = TypeVar("AnyCapture", Capture, TurntableCapture, GoniometerCapture)
 CAMERA_BITS = (10, 12, 14)
-"""Of cameras whose codes are stored in 16 bits."""
+"""Bit depths of cameras whose codes are stored in 16 bits."""
 NEAR_TOP = 31 / 32
-"""Of full scale: cameras clip a little below their largest code."""
+"""Share of full scale near which cameras clip, a little below their largest code."""
 
 
 def unusable_coding(coding: Coding, file: str) -> Problem:
@@ -41,7 +41,7 @@ def unusable_coding(coding: Coding, file: str) -> Problem:
 
 @dataclass(frozen=True)
 class FrameReader(Generic[AnyCapture]):
-    """How to read this capture's photographs."""
+    """Reader of a capture's photographs."""
 
     capture: AnyCapture
     channels: str
@@ -63,7 +63,7 @@ class FrameReader(Generic[AnyCapture]):
     def of(
         cls, capture: AnyCapture, channels: str, *, prove: bool = True, unopened: Collection[str] = ()
     ) -> "FrameReader[AnyCapture]":
-        """Look at the first photograph's header, and prove that a sealed capture's tables are as they were sealed.
+        """Read the first photograph's header, and verify the tables of a sealed capture.
 
         channels: auto, all, luminance, green (of names without it the middle one), or the name of one stored channel;
         auto is all, for only a plan knows what the later stages need, and puts its choice in place of auto.
@@ -102,14 +102,14 @@ class FrameReader(Generic[AnyCapture]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the channels that are read."""
+        """Names of the channels to read."""
         if self._luminance:
             return ("luminance",)
         return self.stored if self.single is None else (self.stored[self.single],)
 
     @property
     def single(self) -> int | None:
-        """Place of the one stored channel that is read; None where all are, or their luminance."""
+        """Index of the one stored channel to read; None for all, or their luminance."""
         if self.channels in self.stored:
             return self.stored.index(self.channels)
         if self.channels != "green":
@@ -123,7 +123,7 @@ class FrameReader(Generic[AnyCapture]):
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """(read channels, stored channels) float64: how the channels read are made of those stored."""
+        """(read channels, stored channels) float64: composition of the channels read from those stored."""
         count = len(self.stored)
         if self.single is not None:
             return np.eye(count)[self.single : self.single + 1]
@@ -144,17 +144,17 @@ class FrameReader(Generic[AnyCapture]):
 
     @cached_property
     def saturated(self) -> np.number:
-        """Code from which a sample is saturated, in the codes' own type."""
+        """Smallest code of a saturated sample, in the codes' own type."""
         return saturation_code(self.dtype, self.capture.settings.camera.saturation, self.bits)
 
     @property
     def to_srgb(self) -> np.ndarray | None:
-        """(3, 3) from the channels that are read to linear sRGB, by the primaries that the files state, or None."""
+        """(3, 3) from the channels read to linear sRGB, by the primaries that the files state, or None."""
         return self.coding.to_srgb if self.names == self.stored and len(self.stored) == 3 else None
 
     @property
     def clip(self) -> np.number:
-        """A stored code of 0 tells only that there was no more light than that."""
+        """Lowest stored code; 0 is only an upper limit of the light."""
         return self.dtype.type(0)
 
     @property
@@ -163,7 +163,7 @@ class FrameReader(Generic[AnyCapture]):
         return float(self.coding.curve.decode(np.array(self.capture.settings.camera.black_level / self.full)))
 
     def read(self, frame: Frame) -> np.ndarray:
-        """Codes (rows, columns, channels) of the region. CaptureError (image-size, image-depth, bits-exceeded, ...)."""
+        """Read codes (rows, columns, channels) of a region. CaptureError: image-size, image-depth, bits-exceeded .."""
         motion = self.motions.get(frame.file)
         if motion is None:
             codes = self._read_still(frame)
@@ -177,7 +177,7 @@ class FrameReader(Generic[AnyCapture]):
         return codes
 
     def _read_still(self, frame: Frame) -> np.ndarray:
-        """Codes (rows, columns, channels) of the region as it was photographed."""
+        """Read codes (rows, columns, channels) of the region before movement is undone."""
         stored, luminance = self.stored, self._luminance
         if frame.bands:
             wanted = stored if self.single is None else (stored[self.single],)
@@ -195,7 +195,7 @@ class FrameReader(Generic[AnyCapture]):
         return codes
 
     def _read_file(self, part: Band, channels: tuple[str, ...], *, luma: bool = False) -> np.ndarray:
-        """Codes (rows, columns, channels) of one file, proven and compared with the first photograph."""
+        """Read codes (rows, columns, channels) of one file, verified and compared with the first photograph."""
         file = part.file
         expect_sealed(part.path, Path(file).as_posix(), self.digests)
         header = read_header(part.path, name=file)
@@ -212,7 +212,7 @@ class FrameReader(Generic[AnyCapture]):
         return read_codes(part.path, channels, header=header, luma=luma, region=self.region, name=file)
 
     def read_ahead(self, frames: Sequence[Frame]) -> Iterator[tuple[Frame, Callable[[], np.ndarray]]]:
-        """Each frame with a function that returns its codes; the next one is decoded while the caller works."""
+        """Yield each frame with a function that returns its codes; the next one is decoded while the caller works."""
         with ThreadPoolExecutor(max_workers=1) as decoder:
             coming = [decoder.submit(self.read, frame) for frame in frames[:1]]
             for i, frame in enumerate(frames):
@@ -222,12 +222,12 @@ class FrameReader(Generic[AnyCapture]):
                 yield frame, current.result
 
     def read_all(self, frames: Sequence[Frame]) -> Iterator[tuple[Frame, np.ndarray]]:
-        """Each frame with its codes, in order; two are in memory at a time."""
+        """Yield each frame with its codes, in order; two are in memory at a time."""
         for frame, codes in self.read_ahead(frames):
             yield frame, codes()
 
     def see(self, frame: Frame, highest: float) -> None:
-        """Remember a frame's largest code. CaptureError (bits-exceeded) where it is beyond what camera.bits says."""
+        """Record a frame's largest code. CaptureError (bits-exceeded) where it is beyond camera.bits."""
         self.largest.append(highest)
         if self.dtype.kind == "u" and highest > self.full:
             expected, found = f"codes up to {self.full:.0f} as camera.bits says", f"{highest:.0f}"
@@ -235,7 +235,7 @@ class FrameReader(Generic[AnyCapture]):
             refuse("bits-exceeded", frame.file, "code", expected=expected, found=found, remedy=remedy)
 
     def warnings(self) -> list[Problem]:
-        """List what the user should know about these files as measurements, once the frames have been seen."""
+        """List warnings about these files as measurements, once all frames are read."""
         kinds = {frame.path.suffix.lower() for frame in self.capture.frames}
         warnings = self._unsaid_bits()
         if not self.coding.linear:
@@ -257,7 +257,7 @@ class FrameReader(Generic[AnyCapture]):
         return warnings
 
     def _unsaid_bits(self) -> list[Problem]:
-        """Warn where the largest code of all frames lies near the top of fewer bits than the files have room for.
+        """Warn where the largest code of all frames lies near the top of fewer bits than the files provide.
 
         Full scale is then too large: saturated samples look like any others.
         """
@@ -281,7 +281,7 @@ Choice = Literal["auto", "never"]
 
 
 class Wishes(Protocol):
-    """Which corrections a user allows, see `nishiki.stages.ingest.Correct`."""
+    """Corrections that a user allows, see `nishiki.stages.ingest.Correct`."""
 
     registration: Choice
     ambient: Choice
@@ -290,7 +290,7 @@ class Wishes(Protocol):
 
 
 class Settings(Protocol):
-    """What ingest reads of its settings (`nishiki.stages.ingest.IngestSettings`)."""
+    """Settings read by ingest (`nishiki.stages.ingest.IngestSettings`)."""
 
     channels: str
     white_block: int
@@ -313,7 +313,7 @@ class PhotographCounter:
 
 
 def refuse_unusable(frame: Frame, *, bright: bool, black: bool, shown: str, leave_out: str) -> None:
-    """CaptureError (all-saturated, all-dark) for a photograph that cannot be used; shown: what of it is black."""
+    """Raise CaptureError (all-saturated, all-dark) for an unusable photograph; shown: its black part."""
     if bright:
         remedy = f"Expose less, or leave this {leave_out} out"
         raise CaptureError(error("all-saturated", frame.file, "the whole object is saturated", remedy=remedy))
@@ -323,7 +323,7 @@ def refuse_unusable(frame: Frame, *, bright: bool, black: bool, shown: str, leav
 
 
 def sample_warnings(frame: Frame, broken: int, saturated: int, inside: int, *, shown: str = "object") -> list[Problem]:
-    """Warnings of a photograph's counts: samples that are not finite, many saturated ones of the `inside` pixels."""
+    """List warnings of a photograph's counts: samples that are not finite, many saturated of `inside` pixels."""
     problems = []
     if broken:
         what = "NaN or infinite samples are not used"
@@ -335,7 +335,7 @@ def sample_warnings(frame: Frame, broken: int, saturated: int, inside: int, *, s
 
 
 def attempt(work: Callable[[], Iterable[Problem]]) -> list[Problem]:
-    """List the problems that some work finds, or those that end it."""
+    """List the problems that a function returns, or those that it raises."""
     try:
         return list(work())
     except CaptureError as e:

@@ -46,13 +46,13 @@ def windowed(reader: FrameReader[GoniometerCapture], capture: GoniometerCapture)
 
 
 def central(size: tuple[int, int], side: int) -> Region:
-    """Row, column, rows and columns of the square of this side, or less where the picture is smaller, in its middle."""
+    """Return row, column, rows and columns of the central square of this side, or less in a smaller picture."""
     rows, columns = (min(n, side) for n in size)
     return (size[0] - rows) // 2, (size[1] - columns) // 2, rows, columns
 
 
 def region_labels(capture: GoniometerCapture, size: tuple[int, int]) -> np.ndarray | None:
-    """Label picture (rows, columns) uint16, or None. CaptureError: regions-size, regions-empty, regions-name."""
+    """Read a label picture (rows, columns) uint16, or None. CaptureError: regions-size, regions-empty, regions-name."""
     if capture.regions is None:
         return None
     block = capture.settings.goniometer
@@ -87,7 +87,7 @@ def code_problems(frame: Frame, codes: np.ndarray, reader: FrameReader) -> list[
 
 
 def hot_problems(files: list[str], count: int) -> list[Problem]:
-    """some-saturated where photographs of the cloth, of so many, have saturated pixels."""
+    """Warn (some-saturated) where photographs of the cloth, out of `count`, have saturated pixels."""
     if not files:
         return []
     what, found = "photographs of the cloth have saturated pixels", f"{len(files)} of {count}: {name_some(files)}"
@@ -96,7 +96,7 @@ def hot_problems(files: list[str], count: int) -> list[Problem]:
 
 
 def white_level(frame: Frame, codes: np.ndarray, reader: FrameReader[GoniometerCapture], darks: DarkField) -> float:
-    """Mean of the board, worst channel, as a fraction of full scale. CaptureError: white-saturated, white-dark."""
+    """Compute the board's mean, worst channel, relative to full scale. CaptureError: white-saturated, white-dark."""
     side = reader.capture.settings.goniometer.crop_px
     row, column, rows, columns = central(codes.shape[:2], side)
     middle = codes[row : row + rows, column : column + columns]
@@ -136,7 +136,7 @@ def look_at_windows(capture: GoniometerCapture, size: tuple[int, int], contents:
 
 
 def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
-    """Find what only decoding shows; every photograph is decoded once."""
+    """Find problems that only decoding reveals; every photograph is decoded once."""
     try:
         reader = windowed(FrameReader.of(capture, "all", prove=False), capture)  # the whole seal is verified apart
         edges = picture_edges(reader.region[2:], CHECK_BLOCK)
@@ -159,7 +159,7 @@ def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
 
 
 def table_problems(capture: GoniometerCapture) -> list[Problem]:
-    """Whether a table's values can be those of a surface: energy, reciprocity, the side on which it shines.
+    """Check a table's values against physics: energy, reciprocity, the side of reflection.
 
     A reading that makes the reciprocal pairs agree is an error's remedy. Once goniometer.values or azimuths is given,
     what the table says stands, and a violation is a warning.
@@ -273,7 +273,7 @@ class Measurements(StoredArrays):
         return np.array(self.attributes["white_reflectance"])
 
     def read(self, shot: Shot) -> Photograph:
-        """One photograph's window. UserError where the store is damaged."""
+        """Read one photograph's window. UserError where the store is damaged."""
         depth = self.attributes["frames_a_chunk"]
         codes = self._block(shot.place // depth)[shot.place % depth]
         linear = self.lut[codes] if codes.dtype.kind == "u" else codes
@@ -291,7 +291,7 @@ class Measurements(StoredArrays):
         return self._group["codes"][number * depth : (number + 1) * depth]
 
     def _dark_level(self, place: int) -> np.ndarray:
-        """Dark level over the window, bilinear between the centres of its blocks."""
+        """Interpolate the dark level over the window, bilinear between the centres of its blocks."""
         level = self._group["dark"][place]
         for axis, length in enumerate(self.attributes["shape"]):
             if level.shape[axis] > 1:
@@ -386,7 +386,7 @@ def write_goniometer(
 def _describe_frames(
     capture: GoniometerCapture, reader: FrameReader, frames: tuple[Frame, ...], darks: DarkField
 ) -> dict[str, Any]:
-    """Describe the frames, and how to read their codes."""
+    """Describe the frames and the decoding of their codes."""
     block, finite = capture.settings.goniometer, np.isfinite(reader.saturated)
     places = [next(i for i, level in enumerate(darks.levels) if level is darks.at(f.exposure_s)) for f in frames]
     rows = [
@@ -409,7 +409,7 @@ def _describe_frames(
 
 
 def write_names(folder: Path, capture: GoniometerCapture, more: dict) -> None:
-    """goniometer.json."""
+    """Write goniometer.json."""
     block = capture.settings.goniometer
     names = {
         "format": FORMAT,
@@ -423,7 +423,7 @@ def write_names(folder: Path, capture: GoniometerCapture, more: dict) -> None:
 
 
 def _write_table(capture: GoniometerCapture, folder: Path) -> dict[str, Any]:
-    """Write the table as it was given; every file of a sealed capture is proven first."""
+    """Copy the table unchanged; every file of a sealed capture is verified first."""
     digests, table = sealed_digests(capture.root), require(capture.table)
     for name in sorted(digests):
         expect_sealed(inside(capture.payload, name, "manifest-sha256.txt"), name, digests)

@@ -12,7 +12,7 @@ CLIP_SIGMAS = 4.0  # standard deviations about the median of a block
 
 
 def linear_value(table, code):
-    """Linear value of a code: by table for integer codes, the code itself for float ones (compiled code only)."""
+    """Return the linear value of a code: by table for integer codes, the code itself for float ones (compiled only)."""
     raise NotImplementedError
 
 
@@ -25,7 +25,7 @@ def _linear_value(table, code):
 
 @njit(cache=True, error_model="numpy")
 def middle(values, count):
-    """Median of the first `count` values, which are sorted in place (by insertion: they are few)."""
+    """Return the median of the first `count` values, sorted in place (by insertion: they are few)."""
     for i in range(1, count):
         value, j = values[i], i
         while j > 0 and values[j - 1] > value:
@@ -37,7 +37,7 @@ def middle(values, count):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def block_levels(codes, table, row_edges, column_edges, saturated, clip):
-    """Robust level of each block and the share of its samples that are not usable.
+    """Compute the robust level of each block and the share of its samples that are not usable.
 
     codes (rows, columns, channels); table: linear value by code (two zeros for float codes); saturated, clip: codes at
     or above, at or below which a sample is not usable. Level: mean of the usable samples within 4 robust standard
@@ -106,7 +106,7 @@ def count_outliers(codes, table, levels, row_edges, column_edges, low, high, cou
 
 LARGEST_GAIN, LARGEST_DARK = np.float32(1e30), np.float32(1e6)  # of values that are at most 1 where codes are integers
 ANY_CODE = np.float32(-np.inf)
-"""Clip of codes that are all measurements."""
+"""Clip below all codes, so that each counts as a measurement."""
 
 
 def decode_codes(
@@ -167,7 +167,7 @@ def decode(start, stop, codes, coding, fields, grid, channels, outputs):
 
 
 def always_finite(code):
-    """Whether codes of this type are finite (compiled code only)."""
+    """Check whether codes of this type are finite (compiled code only)."""
     raise NotImplementedError
 
 
@@ -196,7 +196,7 @@ def _mark_valid(codes, usable, saturated, clip, first, last, valid):
 
 @njit(cache=True, error_model="numpy")
 def _between_blocks(field, k, row, row_weight, cells, weights, out):
-    """Channel k of a grid field (r, c, channels) along one pixel row; NaN where a node is."""
+    """Interpolate channel k of a grid field (r, c, channels) along one pixel row; NaN where a node is."""
     following = min(row + 1, field.shape[0] - 1)
     for c in range(len(cells) - 1):
         right = min(c + 1, field.shape[1] - 1)
@@ -209,7 +209,7 @@ def _between_blocks(field, k, row, row_weight, cells, weights, out):
 
 @njit(cache=True, error_model="numpy")
 def _scale_row(codes, table, gains, darks, share, add, target, valid):
-    """Values of one channel of one row, written or added; those without a known gain, and not finite ones, are 0."""
+    """Write or add values of one channel of one row; those without a valid gain, and not finite ones, are 0."""
     for x in range(len(codes)):
         known = (gains[x] > 0) & (gains[x] < LARGEST_GAIN) & (abs(darks[x]) < LARGEST_DARK)  # false for NaN
         valid[x] &= known

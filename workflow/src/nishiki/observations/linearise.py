@@ -13,20 +13,20 @@ DEFAULT_SATURATION = 0.995  # of full scale
 
 
 def full_scale(dtype: np.dtype, bits: int | None) -> float:
-    """Largest code: 2^bits - 1, by default of the sample's own 8 or 16 bits; 1 for float samples."""
+    """Return the largest code: 2^bits - 1, by default of the sample's own 8 or 16 bits; 1 for float samples."""
     if np.dtype(dtype).kind == "f":
         return 1.0
     return float((1 << (bits or 8 * np.dtype(dtype).itemsize)) - 1)
 
 
 def code_table(dtype: np.dtype, curve: Curve, bits: int | None = None) -> np.ndarray:
-    """Linear value of each code, as a fraction of full scale: (256,) or (65536,) float32."""
+    """Compute the linear value of each code, as a fraction of full scale: (256,) or (65536,) float32."""
     codes = np.arange(np.iinfo(dtype).max + 1) / full_scale(dtype, bits)
     return curve.decode(codes).astype(np.float32)
 
 
 class StoredArrays:
-    """Read what ingest stores beside the codes of photographs, of any geometry, each array at its first use."""
+    """Arrays that ingest stores beside the codes of photographs, of any geometry, each read at its first use."""
 
     _group: Any
     dtype: np.dtype  # of the codes
@@ -38,7 +38,7 @@ class StoredArrays:
 
     @cached_property
     def gain(self) -> np.ndarray:
-        """(lights, r, c, channels) float32 on block centres; NaN where the white board could not be used."""
+        """(lights, r, c, channels) float32 on block centres; NaN where the white board is unusable."""
         return np.asarray(self._group["gain"][...])
 
     @cached_property
@@ -48,17 +48,17 @@ class StoredArrays:
 
     @cached_property
     def defect(self) -> np.ndarray | None:
-        """(rows, columns) bool: hot and dead pixels, or None where none are known."""
+        """(rows, columns) bool: hot and dead pixels, or None without any."""
         return np.asarray(self._group["defect"][...]) > 0 if "defect" in self._group else None
 
     @cached_property
     def regions(self) -> np.ndarray | None:
-        """(rows, columns) label of the region of each pixel, or None where the capture names no regions."""
+        """(rows, columns) label of the region of each pixel, or None for a capture without regions."""
         return np.asarray(self._group["regions"][...]) if "regions" in self._group else None
 
 
 def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = None) -> np.number:
-    """Code from which a sample counts as saturated, in the codes' own type.
+    """Return the smallest code of a saturated sample, in the codes' own type.
 
     fraction: of full scale; None: 0.995, and for float samples, which have no full scale of their own, never.
     """
@@ -70,7 +70,7 @@ def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = 
 def count_unusable(
     codes: np.ndarray, usable: np.ndarray, saturated: np.number, clip: np.number
 ) -> tuple[int, int, int, int, float]:
-    """Pixels of one frame inside the mask that are: saturated in any channel, at the clip in all, not finite; in all.
+    """Count pixels of one frame inside the mask: saturated in any channel, at the clip in all, not finite; in all.
 
     codes (rows, columns, channels); usable (rows, columns) uint8; saturated, clip: in the codes' own type.
     Returns these four counts and the largest code (of the whole frame).
@@ -83,7 +83,7 @@ def count_unusable(
 
 
 def to_luma(codes: np.ndarray, saturated: np.number, full: float, weights: np.ndarray, rounding: float) -> np.ndarray:
-    """Luma (rows, columns, 1) of codes (rows, columns, channels) in their own type; `full` where one is saturated.
+    """Compute luma (rows, columns, 1) of codes (rows, columns, channels) in their own type; `full` if one is saturated.
 
     A mean would hide that one channel was clipped, so such pixels are given a code that counts as saturated.
     rounding: 0.5 for integer codes, 0.0 for float.
@@ -136,13 +136,13 @@ CHECK_BLOCK = 16  # pixels, of the boards that a check looks at; `ingest.white_b
 
 
 def block_edges(length: int, block: int) -> np.ndarray:
-    """Edges (blocks + 1,) int64 of blocks of nearly `block` pixels that cover `length` pixels without a remainder."""
+    """Compute edges (blocks + 1,) int64 of blocks of nearly `block` pixels that cover `length` pixels exactly."""
     count = max(1, round(length / block))
     return np.arange(count + 1, dtype=np.int64) * length // count
 
 
 def edges_between(length: int, block: int, start: int, stop: int) -> np.ndarray:
-    """Edges of the blocks of `length` pixels that lie in start..stop, themselves edges, counted from start.
+    """Select the edges of the blocks of `length` pixels in start..stop, themselves edges, counted from start.
 
     A field on the blocks of a crop then has the values, and the interpolation, of the same blocks of the whole.
     """
@@ -151,7 +151,7 @@ def edges_between(length: int, block: int, start: int, stop: int) -> np.ndarray:
 
 
 def blocks_around(inside: np.ndarray, block: int, margin: int) -> tuple[int, int]:
-    """Start and stop, at edges of blocks, of the places (length,) bool that are set, at least one, with a rim.
+    """Return start and stop, at edges of blocks, of the set places (length,) bool, at least one, with a rim.
 
     `margin` pixels or more and one further block on each side, so that a field that is interpolated between the centres
     of blocks has both its neighbours wherever `inside` is set.
@@ -163,7 +163,7 @@ def blocks_around(inside: np.ndarray, block: int, margin: int) -> tuple[int, int
 
 
 def positions(edges: np.ndarray, start: int, stop: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where pixels start..stop lie between block centres: lower node (n,) int64, weight of the next (n,) float32.
+    """Locate pixels start..stop between block centres: lower node (n,) int64, weight of the next (n,) float32.
 
     Beyond the outer centres the field is extrapolated (weights below 0 or above 1, by half a block at most).
     """
@@ -177,7 +177,7 @@ def positions(edges: np.ndarray, start: int, stop: int) -> tuple[np.ndarray, np.
 
 
 def cells(edges: np.ndarray, start: int, stop: int) -> np.ndarray:
-    """First pixel, counted from start, of each cell between neighbouring block centres, then the last cell's end.
+    """List the first pixel, from start, of each cell between neighbouring block centres, then the last cell's end.
 
     Cell c lies between the centres of blocks c and c + 1; the outer ones reach to the border. (cells + 1,) int64, with
     as many cells as blocks less one, but at least one; cells outside start..stop are empty.
@@ -188,7 +188,7 @@ def cells(edges: np.ndarray, start: int, stop: int) -> np.ndarray:
 
 
 def field_rows(field: np.ndarray, edges: Edges, start: int, stop: int) -> np.ndarray:
-    """Values (rows, columns, channels) of a field on blocks (r, c, channels) in the rows start..stop of a picture."""
+    """Interpolate a field on blocks (r, c, channels) to (rows, columns, channels) in rows start..stop of a picture."""
     if field.shape[:2] == (1, 1):
         return np.broadcast_to(field, (stop - start, int(edges[1][-1]), field.shape[2]))
     (above, down), (left, right) = positions(edges[0], start, stop), positions(edges[1], 0, int(edges[1][-1]))
@@ -198,7 +198,7 @@ def field_rows(field: np.ndarray, edges: Edges, start: int, stop: int) -> np.nda
 
 
 def on_one_grid(gain: np.ndarray, dark: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and dark level (..., r, c, channels) as float32 on one grid of blocks, contiguous.
+    """Broadcast gain and dark level (..., r, c, channels) as float32 to one grid of blocks, contiguous.
 
     A field that has the grid's shape is returned as it is: through `broadcast_to` it would become read-only, and
     kernels would be compiled once more for it.
@@ -209,17 +209,17 @@ def on_one_grid(gain: np.ndarray, dark: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def picture_edges(shape: tuple[int, int], block: int) -> Edges:
-    """Edges of the blocks of a picture."""
+    """Compute the edges of the blocks of a picture."""
     return block_edges(shape[0], block), block_edges(shape[1], block)
 
 
 def rows_of_band(lights: int, rows: int, columns: int, channels: int, tile_mib: int) -> int:
-    """Rows of a band whose float32 observations fit into tile_mib MiB: a multiple of 8, at least 8."""
+    """Compute the rows of a band whose float32 observations fit into tile_mib MiB: a multiple of 8, at least 8."""
     fit = (tile_mib << 20) // max(1, lights * columns * channels * 4)
     return int(min(max(8, fit // 8 * 8), -(-rows // 8) * 8))
 
 
 def bands_with_object(mask: np.ndarray, band_rows: int) -> tuple[int, ...]:
-    """Numbers of the bands in which the mask (rows, columns) has a pixel; the others are neither kept nor read."""
+    """List numbers of bands in which the mask (rows, columns) has a pixel; others are neither stored nor read."""
     starts = range(0, len(mask), band_rows)
     return tuple(number for number, start in enumerate(starts) if mask[start : start + band_rows].any())

@@ -15,7 +15,7 @@ from nishiki.threads import in_threads, strips
 
 STORE, FORMAT = "frames.zarr", 1  # name and version of the file; readers refuse others
 STRIP_BYTES = 8 << 20
-"""Of float32 observations that are decoded at a time."""
+"""Size in bytes of the float32 observations decoded at a time."""
 
 
 class Observations(StoredArrays):
@@ -55,19 +55,19 @@ class Observations(StoredArrays):
         self._group = group
 
     def indices(self, role: Literal["sample", "check"]) -> np.ndarray:
-        """Which lights have this role, (n,) int64."""
+        """List the lights of this role, (n,) int64."""
         return np.flatnonzero([light_role == role for light_role in self.roles])
 
     def fit_lights(self, hold_out: Collection[str] = ()) -> np.ndarray:
-        """Lights that fits may use, (n,) int64: those of samples, without the names held out."""
+        """List lights for fits, (n,) int64: those of samples, without the names held out."""
         return np.array([j for j in self.indices("sample") if self.lights[j] not in set(hold_out)], np.int64)
 
     def check_lights(self, hold_out: Collection[str] = ()) -> np.ndarray:
-        """Lights that no fit has seen, (n,) int64: those of check frames and those held out."""
+        """List lights that no fit uses, (n,) int64: those of check frames and those held out."""
         return np.setdiff1d(np.arange(len(self.lights)), self.fit_lights(hold_out))
 
     def bands(self) -> list[slice]:
-        """Row slices that cover the picture, each of bounded memory."""
+        """List row slices that cover the picture, each of bounded memory."""
         return list(strips(self.shape[0], self.band_rows))
 
     @cached_property
@@ -83,7 +83,7 @@ class Observations(StoredArrays):
         channel: Literal["mean"] | int | None = None,
         columns: slice | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Observations of some rows: values and validity.
+        """Read observations of some rows: values and validity.
 
         band: rows (a slice of step 1, from `bands()` or any other); lights: indices, default all; channel: None for
         all, an index, or 'mean' over all; columns: slice, default all. Returns float32 (lights, rows, columns,
@@ -145,7 +145,7 @@ class Observations(StoredArrays):
     def codes(
         self, band: slice, *, lights: np.ndarray | None = None, columns: slice | None = None
     ) -> tuple[np.ndarray, int]:
-        """Read the codes (lights, rows, columns, channels) of some rows, and return the first row's number."""
+        """Read the codes (lights, rows, columns, channels) of some rows; return them and the first row's number."""
         chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
         start, stop, step = band.indices(self.shape[0])
         left, right, stride = (columns or slice(None)).indices(self.shape[1])
@@ -168,7 +168,7 @@ class Observations(StoredArrays):
 
     @cached_property
     def edges(self) -> Edges:
-        """Edges of the blocks of gain and dark: those of the region that the capture asks for, inside what is kept."""
+        """Edges of the blocks of gain and dark: those of the capture's region, inside the stored part."""
         kept = self.attributes.get("region_of_interest", (0, 0, *self.shape))
         asked = self.attributes.get("asked_region", kept)
         starts = (kept[0] - asked[0], kept[1] - asked[1])
@@ -204,7 +204,7 @@ class Observations(StoredArrays):
 TOLERANCE_RAD = np.radians(0.2)
 """Largest difference between a pixel's direction to a near lamp and that of its parcel's centre."""
 USUAL_SIDE, LEAST_SIDE, FEW_PARCELS = 8, 2, 2048
-"""Least side of a parcel in pixels, as each costs time of its own; but where the tolerance needs less than LEAST_SIDE,
+"""Least side of a parcel in pixels, as each costs time; but where the tolerance requires less than LEAST_SIDE,
 the side with which this many parcels cover the picture, if that is smaller."""
 
 
@@ -244,7 +244,7 @@ class Parcel:
 
 
 def parcels(frames: Observations, band: slice, lights: np.ndarray) -> Iterator[Parcel]:
-    """Parcels of a band: the whole band for distant lamps, small rectangles for lamps at a position.
+    """Yield parcels of a band: the whole band for distant lamps, small rectangles for lamps at a position.
 
     lights: indices (n,). The size follows from the nearest lamp: the direction changes by less than 0.2 degrees from a
     parcel's centre to its corner, except for lamps so near that this takes parcels smaller than USUAL_SIDE.
@@ -274,13 +274,13 @@ def parcels(frames: Observations, band: slice, lights: np.ndarray) -> Iterator[P
 
 
 def _towards(positions: np.ndarray, place: np.ndarray, falls: int) -> np.ndarray:
-    """Vectors (lights, 3) from a place to the lamps, as long as the distance to the power -falls."""
+    """Compute vectors (lights, 3) from a place to the lamps, of length distance to the power -falls."""
     towards = positions - place
     return towards / np.linalg.norm(towards, axis=1, keepdims=True) ** (1 + falls)
 
 
 def point_mm(frames: Observations, row: float, column: float) -> np.ndarray:
-    """Place of a pixel on the object plane, mm from the image centre, x right, y up, z to the camera."""
+    """Compute the place of a pixel on the object plane, mm from the image centre, x right, y up, z to the camera."""
     centre_row, centre_column = frames.image_centre
     pitch = frames.pixel_pitch_mm
     return np.array([(column - centre_column) * pitch, (centre_row - row) * pitch, 0.0])
@@ -317,7 +317,7 @@ class Piece:
 def sample(
     frames: Observations, lights: np.ndarray, pixels: int, *, channel: Any = "mean", cell: int = 1
 ) -> Iterator[Piece]:
-    """About `pixels` pixels of the object from at most STRIPS strips of rows: the same on every machine.
+    """Yield about `pixels` pixels of the object from at most STRIPS strips of rows: the same on every machine.
 
     The strips lie evenly among the rows that the object reaches; of near lamps' parcels the pixels are taken alike.
     cell: side of squares of pixels of which many are taken or none; under distant lamps one in STRIDE^2 at least.
@@ -355,5 +355,5 @@ def sample(
 
 
 def flat(array: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Pixels of an array (lights, rows, columns, ...) as (lights, 1, pixels, ...)."""
+    """Select pixels of an array (lights, rows, columns, ...) as (lights, 1, pixels, ...)."""
     return array.reshape(len(array), 1, -1, *array.shape[3:])[:, :, chosen]

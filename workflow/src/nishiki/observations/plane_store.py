@@ -71,7 +71,7 @@ AMBIENT_BIAS = 0.2  # of the estimated light of the room, by which it was off on
 
 @dataclass(frozen=True)
 class Corrections:
-    """What is put right."""
+    """Corrections of the photographs."""
 
     capture: Capture  # the capture without the photographs that are left out
     kept: np.ndarray  # (lights,) int64: numbers of those that remain, among the observed ones
@@ -88,12 +88,12 @@ class Corrections:
 
     @property
     def strengths(self) -> np.ndarray:
-        """(lights, 1, 1, 1) float32: the gains in the shape of those of the boards."""
+        """(lights, 1, 1, 1) float32: the gains in the shape of the boards' gains."""
         return self.gains.astype(np.float32)[:, None, None, None]
 
 
 def find_corrections(reader: FrameReader, reduced: ReducedPhotographs, wishes: Wishes) -> Corrections:
-    """Measure the photographs of a plane against each other, and decide what is put right.
+    """Measure the photographs of a plane against each other, and decide on corrections.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def find_corrections(reader: FrameReader, reduced: ReducedPhotographs, wishes: W
 def _choose_gains(
     capture: Capture, found: Consistency, wishes: Wishes
 ) -> tuple[np.ndarray, np.ndarray | None, list[Problem]]:
-    """Strengths to divide by where neither boards nor intensities tell them, and what recorded exposures hide.
+    """Choose lamp strengths where neither boards nor intensities give them; warn of contradicting exposures.
 
     Strengths that rise with the direction of the lamp are like a tilt of the object, and like matter that does not
     follow Lambert's law: they alone are no evidence. On a grey sphere under equal lamps they reach 17 %, and would turn
@@ -207,7 +207,7 @@ def _choose_gains(
 def _choose_ambient(
     capture: Capture, found: Consistency, values: np.ndarray, lamps: np.ndarray, wishes: Wishes
 ) -> tuple[np.ndarray, list[Problem]]:
-    """Light of the room (channels,) to take off, relative to the albedo; 0 where it is not significant."""
+    """Choose the ambient light (channels,) to subtract, relative to the albedo; 0 where it is not significant."""
     none = np.zeros(values.shape[3])
     if not max(LEAST_AMBIENT, SURE * found.ambient_sigma) < found.ambient < MOST_AMBIENT:
         return none, []
@@ -221,7 +221,7 @@ def _choose_ambient(
 
 
 def _measured(frames: tuple[Frame, ...], movement: Movement, found: Consistency | None) -> dict[str, dict[str, Any]]:
-    """List what each photograph showed before anything was put right, by light, in plain numbers."""
+    """List measurements of each photograph before corrections, by light, in plain numbers."""
     table: dict[str, dict[str, Any]] = {}
     for j, frame in enumerate(frames):
         row = {
@@ -399,7 +399,7 @@ VALUES = 1 << 21  # computed at a time
 
 
 def subtract_room(store: Path, ambient: np.ndarray, strengths: np.ndarray) -> None:
-    """Rewrite the codes of `frames.zarr` without the light of the room.
+    """Rewrite the codes of `frames.zarr` without the ambient light.
 
     ambient: (channels,) a of the equation above; strengths: (lights,) s, by which the stored gains are divided.
     """

@@ -1,4 +1,4 @@
-"""Compare the opened photographs of a turntable with what its capture states: sizes, white boards, polarisers."""
+"""Compare the opened photographs of a turntable with the statements of its capture: sizes, boards, polarisers."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -20,9 +20,9 @@ from nishiki.polarisation.polariser_states import equal_steps, sums_of
 from nishiki.polarisation.series import SeriesOrder, find_order, remove_nuisance, series_design
 
 SIDE = 96
-"""Pixels of the longer side to which photographs are averaged; noise counts little then."""
+"""Longer side in pixels of the averaged photographs, at which noise is negligible."""
 EXCHANGED = 1.02
-"""Light of the crossed over that of the parallel state from which the states are exchanged. Off and on give 0.3 to 0.5,
+"""Ratio of crossed to parallel light from which the states count as exchanged. Off and on give 0.3 to 0.5,
 angles 0.2 to 0.99, light never more than 1; a lamp that varies between photographs adds 1 %."""
 RETARDERS, MOST_NAMED = 25, 6  # terms of a series of retarders; views and photographs that a message names
 
@@ -53,11 +53,11 @@ class PolariserLevels:
         self.files.setdefault(key, {})[frame.polariser] = frame.file
 
     def problems(self) -> list[Problem]:
-        """States that contradict the photographs: exchanged parallel and crossed ones, angles in another order."""
+        """List states that contradict the photographs: exchanged parallel and crossed ones, angles in another order."""
         return self._darker_parallel() + self._other_orders()
 
     def _other_orders(self) -> list[Problem]:
-        """Make an error for each order of angles that explains the photographs of some views, unlike the stated one."""
+        """Make an error for each order of angles that fits the photographs of some views, unlike the stated one."""
         found: list[tuple[tuple[str, str, str], SeriesOrder]] = []
         for key, pictures in self.pictures.items():
             angles = np.array([angles for state in pictures if (angles := parse_state(state).angles_deg)])
@@ -82,7 +82,7 @@ class PolariserLevels:
     def _order_problem(
         self, states: tuple[str, ...], commonest: tuple[int, ...], views: list[tuple[tuple[str, str, str], SeriesOrder]]
     ) -> Problem:
-        """Make the error of views whose photographs are explained by one other order."""
+        """Make the error of views whose photographs fit one other order."""
         key, order = max(views, key=lambda each: each[1].unexplained)
         files = self.files[key]
         moved = [f"{files[states[k]]}: {states[i]}" for i, k in enumerate(commonest) if i != k]
@@ -99,7 +99,7 @@ class PolariserLevels:
         return error("states-exchanged", "frames.csv", what, expected="polarisers' law", found=shares, remedy=remedy)
 
     def _darker_parallel(self) -> list[Problem]:
-        """One error that names the views, or the white boards, that are brighter in the crossed state."""
+        """Make one error that names the views, or the white boards, that are brighter in the crossed state."""
         ratios = {key: _crossed_over_parallel(pictures) for key, pictures in self.pictures.items()}
         odd = {key: ratio for key, ratio in ratios.items() if ratio is not None and ratio > EXCHANGED}
         if not odd:
@@ -117,7 +117,7 @@ class PolariserLevels:
 
 
 def _crossed_over_parallel(pictures: dict[str, np.ndarray]) -> float | None:
-    """Light of the crossed over that of the parallel states over the object; None for states of other kinds."""
+    """Compute the ratio of crossed to parallel light over the object; None for states of other kinds."""
     try:
         sums = sums_of(tuple(pictures))
     except UserError:
@@ -132,7 +132,7 @@ def _crossed_over_parallel(pictures: dict[str, np.ndarray]) -> float | None:
 
 
 def silhouette_problems(capture: TurntableCapture, size: tuple[int, int]) -> list[Problem]:
-    """Silhouettes: readable, of the frames' size, not empty, not the whole picture, in agreement with the cameras."""
+    """Check silhouettes: readable, of the frames' size, neither empty nor full, in agreement with the cameras."""
     problems: list[Problem] = []
     given: dict[str, np.ndarray] = {}
     for view in capture.views:
@@ -152,7 +152,7 @@ def silhouette_problems(capture: TurntableCapture, size: tuple[int, int]) -> lis
 
 
 def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Problem]:
-    """Find what only decoding shows."""
+    """Find problems that only decoding reveals."""
     try:
         reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
     except CaptureError as e:
@@ -177,7 +177,7 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
 
 
 def _reference_problems(reader: FrameReader[TurntableCapture], tick: Tick) -> list[Problem]:
-    """Dark frames and normalising white boards."""
+    """List problems of dark frames and normalising white boards."""
     edges = picture_edges((reader.rows, reader.columns), CHECK_BLOCK)
     try:
         darks = measure_darks(reader, edges, tick)
@@ -193,7 +193,7 @@ def _reference_problems(reader: FrameReader[TurntableCapture], tick: Tick) -> li
 
 
 def _outline(frame: Frame | None, size: tuple[int, int]) -> np.ndarray:
-    """Silhouette (rows, columns) uint8; all ones where there is none that can be used (which is reported apart)."""
+    """Read the silhouette (rows, columns) uint8; all ones where none is usable (which is reported apart)."""
     try:
         outline = read_mask(require(frame.silhouette_path), name=frame.silhouette) if frame else None
     except CaptureError:

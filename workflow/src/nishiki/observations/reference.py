@@ -1,4 +1,4 @@
-"""Prepare dark frames and white boards: what is subtracted from photographs and what they are divided by.
+"""Prepare dark frames and white boards, the offsets and gains of photographs.
 
 A board tells how bright its lamp was at each place, and so the gain that makes a perfect white 1 (Tominaga and Tanaka
 2004, eq. 3).
@@ -24,7 +24,7 @@ MIN_GOOD_BLOCKS = 0.5  # share below which a board is refused
 
 @dataclass(frozen=True)
 class WhiteField:
-    """gain (r, c, channels) float32, NaN where the board cannot be used; relative to the exposure of the board."""
+    """gain (r, c, channels) float32, NaN where the board is unusable; relative to the exposure of the board."""
 
     gain: np.ndarray
     level: np.ndarray  # median of the board (channels,), fraction of full scale
@@ -84,7 +84,7 @@ def white_field(
 
 
 def _unusable_board(name: str, bright_share: float, board: np.ndarray) -> Problem:
-    """Why the board cannot be used: too bright or too dark."""
+    """Make the error of an unusable board: too bright or too dark."""
     if bright_share > 0.25:
         found = f"{100 * bright_share:.0f} % of its pixels"
         remedy = "Expose the board less (give exposure_s) or use a grey board with its reflectance"
@@ -116,7 +116,7 @@ class DarkField:
         return self.levels[int(np.argmin(ratios))]
 
     def for_frames(self, frames: tuple[Frame, ...]) -> np.ndarray:
-        """(lights, r, c, channels) float32, or one light's where it is the same for all."""
+        """Return dark levels (lights, r, c, channels) float32, or one light's where it is the same for all."""
         levels = [self.at(frame.exposure_s) for frame in frames]
         if all(level is levels[0] for level in levels):
             levels = levels[:1]
@@ -173,7 +173,7 @@ def measure_darks(reader: FrameReader, edges: Edges, tick: Callable[[str], None]
 
 
 def measure_room(reader: FrameReader, darks: DarkField, tick: Callable[[str], None]) -> np.ndarray | None:
-    """Average the photographs without lamp.
+    """Average the photographs of ambient light.
 
     Returns (rows, columns, channels) float16 linear light at exposure 1 (see `Frame.exposure`), of which half a per
     mille is lost in that type; None where there are no such photographs.
@@ -193,7 +193,7 @@ def measure_room(reader: FrameReader, darks: DarkField, tick: Callable[[str], No
 
 
 def hot_limit(reader: FrameReader, edges: Edges) -> float:
-    """Linear value above its block from which a pixel is hot in the dark: HOT of full scale, whatever the bits.
+    """Compute the linear value above its block from which a dark pixel is hot: HOT of full scale, at any bit depth.
 
     Float samples have a full scale only where the capture says from which value they are saturated; else the brightest
     block of the first white board, or of the first photograph of the object, stands for it.
@@ -223,7 +223,7 @@ def _dark_problems(reader: FrameReader, exposures: tuple[float | None, ...]) -> 
 def measure_gains(
     reader: FrameReader, darks: DarkField, edges: Edges, mask: np.ndarray, tick: Callable[[str], None]
 ) -> Gains:
-    """Gain of each observed frame: from its white board, else from the lights' intensities, else from exposure."""
+    """Compute the gain of each observed frame: from its board, else the lights' intensities, else from exposure."""
     capture, shape = reader.capture, reader.region[2:]
     observed = capture.observed
     if not capture.frames_of("white"):
@@ -270,7 +270,7 @@ def board_fields(
 def board_field(
     reader: FrameReader, frame: Frame, codes: np.ndarray, darks: DarkField, edges: Edges, mask: np.ndarray | None
 ) -> WhiteField:
-    """Measure the gain of one white frame over the mask (rows, columns), or all. CaptureError where it is of no use."""
+    """Measure the gain of one white frame over the mask (rows, columns), or all. CaptureError where it is unusable."""
     needed = None
     if mask is not None:
         rows = np.add.reduceat(mask, edges[0][:-1], axis=0, dtype=np.int64)
@@ -284,7 +284,7 @@ def board_field(
 
 
 def board_cosine(reader: FrameReader, light: str, edges: Edges) -> np.ndarray | float:
-    """cos(theta_W): one number for a distant lamp, (r, c, 1) at the block centres for a lamp of known position.
+    """Compute cos(theta_W): one number for a distant lamp, (r, c, 1) at the block centres for a lamp at a position.
 
     1 for lamps of a turntable of which no direction is known.
     """
@@ -302,7 +302,7 @@ def board_cosine(reader: FrameReader, light: str, edges: Edges) -> np.ndarray | 
 
 
 def points_mm(reader: FrameReader, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Points (r, c, 3) of the object plane at rows and columns of the photograph, from the middle of that."""
+    """Compute points (r, c, 3) of the object plane at rows and columns of the photograph, from its middle."""
     x = (columns - (reader.columns - 1) / 2) * reader.capture.settings.pixel_pitch_mm
     y = ((reader.rows - 1) / 2 - rows) * reader.capture.settings.pixel_pitch_mm
     return np.stack(np.broadcast_arrays(x[None, :], y[:, None], 0.0), axis=2)

@@ -1,4 +1,4 @@
-"""Choose the part of a capture that is read: region of interest, mask, and the files that a plan needs."""
+"""Choose the part of a capture to read: region of interest, mask, and the files of a plan."""
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
@@ -20,11 +20,11 @@ from nishiki.observations.linearise import blocks_around
 
 MANY_REGIONS = np.iinfo(np.uint8).max + 1
 MARGIN = 8
-"""Least number of pixels that are kept around the object, where the photograph has them: pictures want a rim."""
+"""Least rim around the object in pixels, where the photograph has them: pictures need a rim."""
 
 
 def region_of(capture: Photographed, rows: int, columns: int) -> Region:
-    """Return the region of interest, the whole picture if none; CaptureError (region-outside) if it leaves that."""
+    """Return the region of interest, the whole picture if none; CaptureError (region-outside) if it exceeds that."""
     region = capture.settings.region_of_interest or (0, 0, rows, columns)
     row, column, height, width = region
     if height < 1 or width < 1 or row + height > rows or column + width > columns:
@@ -80,7 +80,7 @@ def region_around(mask: np.ndarray, region: Region, block: int) -> Region:
 
 
 def window_of(outer: Region, inner: Region) -> tuple[slice, slice]:
-    """Rows and columns of a region inside an array of the region around it."""
+    """Return rows and columns of a region inside an array of the region around it."""
     row, column = inner[0] - outer[0], inner[1] - outer[1]
     return slice(row, row + inner[2]), slice(column, column + inner[3])
 
@@ -88,24 +88,24 @@ def window_of(outer: Region, inner: Region) -> tuple[slice, slice]:
 AnyCapture = Capture | TurntableCapture | GoniometerCapture
 SomeCapture = TypeVar("SomeCapture", bound=Photographed)
 LIGHT = "light "
-"""Before a light's name among the parts that are left out: the photograph under that light."""
+"""Prefix of a light's name in a list of omitted parts: the photograph under that light."""
 
 
 @dataclass(frozen=True)
 class Choice(Generic[SomeCapture]):
-    """capture: without the files that are not needed; skipped: those files, by what they are."""
+    """capture: without the files that are not needed; skipped: those files, by their part."""
 
     capture: SomeCapture
     skipped: dict[str, tuple[str, ...]]
 
     @property
     def files(self) -> frozenset[str]:
-        """All files that are not opened."""
+        """All files that are not read."""
         return frozenset(name for names in self.skipped.values() for name in names)
 
 
 def chosen(capture: SomeCapture, without: Collection[str] = ()) -> Choice[SomeCapture]:
-    """Leave these parts out of the capture, and what was photographed for their sake alone.
+    """Remove these parts from the capture, and photographs taken only for them.
 
     without: names of parts (see `nishiki.engine.plan`), or 'light NAME'. White boards and dark frames that
     belong to no photograph that is left are left out with them.
@@ -168,13 +168,13 @@ def _of_goniometer(capture: GoniometerCapture, without: set[str]) -> Choice[Goni
 
 
 def _angles(frames: Iterable[Frame]) -> np.ndarray:
-    """(n, 4) degrees, NaN where not given."""
+    """Return angles (n, 4) in degrees, NaN where not given."""
     rows = [[np.nan if a is None else a for a in f.angles_deg] for f in frames]
     return np.array(rows, np.float64).reshape(-1, 4)
 
 
 def _reduced(capture: SomeCapture, dropped: dict[str, set[Frame]]) -> Choice[SomeCapture]:
-    """Leave out the dropped frames, and the dark frames of exposure times that nothing has then."""
+    """Remove dropped frames, and dark frames of exposure times that then no frame has."""
     gone = set().union(*dropped.values()) if dropped else set()
     if any(f.role in ("sample", "check", "white") for f in gone):
         left = [f for f in capture.frames if f not in gone]
@@ -188,7 +188,7 @@ def _reduced(capture: SomeCapture, dropped: dict[str, set[Frame]]) -> Choice[Som
 
 
 def unneeded_darks(frames: Iterable[Frame]) -> set[Frame]:
-    """Dark frames whose exposure time is not the nearest, in ratio, to that of any lit frame (see DarkField.at)."""
+    """Select dark frames whose exposure time is not the nearest, in ratio, to any lit frame's (see DarkField.at)."""
     frames = list(frames)
     darks = [f for f in frames if f.role == "dark"]
     lit = {f.exposure_s for f in frames if f.role in ("sample", "check", "white", "ambient")}
@@ -212,7 +212,7 @@ OTHERS = "tables, spectra, masks"
 
 
 def usage_of(capture: AnyCapture, *, without: Collection[str], channels: str) -> dict[str, Any]:
-    """List what ingest reads with these settings (see `stages/ingest/__init__.py`), as plain values, without decoding.
+    """List the files that ingest reads with these settings (see `stages/ingest/__init__.py`), without decoding.
 
     files: by kind, only kinds that the capture has, and their total: how many are read, of how many, and their bytes.
     channels: read, of. Bytes are sizes of files: each photograph is read once to be proven against the seal and once to

@@ -41,7 +41,7 @@ WHITENING = 0.3  # part of the mean amplitude below which frequencies count less
 
 @dataclass(frozen=True)
 class Movement:
-    """Movement of each photograph against the first."""
+    """Movement of each photograph relative to the first."""
 
     shift: np.ndarray  # (lights, 2) float64: displacement of the picture's centre, columns and rows, pixels
     # turn, scale: (lights,) float64: turn in radians, from columns to rows, and change of scale; 0 where they are not
@@ -69,14 +69,14 @@ class Movement:
         return (self.largest > np.maximum(LEAST_SHIFT / 3, 2 * self.sigma)) & self.significant.any()
 
     def matrix(self, j: int) -> np.ndarray:
-        """(2, 3) float64: column and row in photograph j of a column and row of the first photograph."""
+        """Compute (2, 3) float64: column and row in photograph j of a column and row of the first photograph."""
         turned = np.array([[1 + self.scale[j], -self.turn[j]], [self.turn[j], 1 + self.scale[j]]])
         return np.column_stack([turned, self.shift[j] + self.centre - turned @ self.centre])
 
 
 @dataclass(frozen=True)
 class Window:
-    """The same window of all photographs."""
+    """One window of all photographs."""
 
     pictures: Sequence[np.ndarray]  # of all lights, (rows, columns) float32 or float16 linear light
     inside: np.ndarray  # (rows, columns) bool, the object
@@ -227,7 +227,7 @@ def fit_movements(
 
 
 def _features(pictures: Sequence[np.ndarray] | np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Laplacians of the logarithms (lights, rows, columns), clipped, 0 at and beyond the rim of the object."""
+    """Compute clipped Laplacians of logarithms (lights, rows, columns), 0 at and beyond the rim of the object."""
     taper = taper_of(inside)
     features = np.zeros((len(pictures), *inside.shape), np.float32)
     if not (taper > 0).any():
@@ -259,7 +259,7 @@ def laplacian(values: np.ndarray, taper: np.ndarray) -> np.ndarray:
 
 
 def _compare(window: Window, pairs: np.ndarray, movement: Movement) -> tuple[np.ndarray, np.ndarray]:
-    """Displacements (pairs, 2) in pixels of the whole picture, after alignment, and the heights of their peaks."""
+    """Measure displacements (pairs, 2) in pixels of the whole picture, after alignment, and their peak heights."""
     from scipy.fft import rfft2
 
     features = _features(*align_window(window, movement))
@@ -291,7 +291,7 @@ def find_shifts(cross: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, 
 
 
 def align_window(window: Window, movement: Movement, *, replicate: bool = True) -> tuple[list[np.ndarray], np.ndarray]:
-    """Move the pictures to the first one, and return where they show the object, without the margin.
+    """Align the pictures with the first one, and return the object's pixels, without the margin.
 
     replicate: pixels beyond the border are those at it; otherwise NaN.
     """
@@ -316,7 +316,7 @@ def align_window(window: Window, movement: Movement, *, replicate: bool = True) 
 
 
 def _peaks(planes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Column and row of the largest value of each plane (n, 2 reach + 1, 2 reach + 1), and its robust deviation."""
+    """Find column and row of the maximum of each plane (n, 2 reach + 1, 2 reach + 1), and its robust deviation."""
     count, side, number = len(planes), planes.shape[1] - 2, np.arange(len(planes))
     row, column = np.divmod(planes[:, 1:-1, 1:-1].reshape(count, -1).argmax(axis=1), side)
     middle = planes[number, row + 1, column + 1]

@@ -69,7 +69,7 @@ def mesh_problems(
 
 
 def _remedy(block: Turntable, found: "Placement", world: np.ndarray) -> str:
-    """Name the keys that bring the mesh there, on top of those given already; world: factors on its axes."""
+    """Return the keys that move the mesh there, in addition to given ones; world: factors on its axes."""
     scale, order, signs = block.mesh_placement
     old = list(found.order)
     signs = np.array(signs)[old] * found.signs * world * world[old]
@@ -81,17 +81,17 @@ def _remedy(block: Turntable, found: "Placement", world: np.ndarray) -> str:
 
 
 WORKING_SIDE = 480
-"""Pixels of the longer side of the photographs in which the check looks for silhouettes."""
+"""Longer side in pixels of the photographs in which the check searches for silhouettes."""
 GUESSED_OUTLINE = 2.0
 """Separation of the two sides of an outline, in spreads of the background, below which the outline is a guess."""
 DOUBTFUL, INCOHERENT = 0.06, 0.10
-"""Contradiction without an explanation that is a warning, and an error. Sound captures gave up to 0.015, dark ones of 8
+"""Unexplained contradiction that raises a warning, and an error. Sound captures gave up to 0.015, dark ones of 8
 bits 0.037, a chair of thin parts 0.039; with half of the views moved by 4 % of the object it is 0.08 to 0.16."""
 FEWEST_VIEWS = 4  # views
 
 
 class Pictures:
-    """Small display pictures of the views, from which silhouettes are found where none are given."""
+    """Small display pictures of the views, for finding silhouettes where none are given."""
 
     def __init__(self, capture: TurntableCapture):
         self.capture, self.masks, self.dark = capture, {}, None
@@ -124,7 +124,7 @@ class Pictures:
             self.masks[view] = found.mask
 
     def problems(self, rows: int, columns: int) -> list[Problem]:
-        """Contradictions of the silhouettes found; none where the outlines of a quarter of the views are guesses."""
+        """List contradictions of the silhouettes found; none where a quarter of the views' outlines are guesses."""
         if len(self.masks) < max(FEWEST_VIEWS, 0.75 * len(self.capture.views)):
             return []
         return capture_problems(self.capture, self.masks, rows, columns)
@@ -133,7 +133,7 @@ class Pictures:
 def capture_problems(
     capture: TurntableCapture, silhouettes: dict[str, np.ndarray], rows: int, columns: int
 ) -> list[Problem]:
-    """Contradictions between silhouettes by view, (rows, columns) bool or smaller, and the cameras of a capture.
+    """List contradictions between silhouettes by view, (rows, columns) bool or smaller, and a capture's cameras.
 
     Silhouettes found in photographs whose background is not plain may contradict each other with sound cameras: where
     the surface does not come from them, only a contradiction that a correction explains is reported.

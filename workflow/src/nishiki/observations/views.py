@@ -1,4 +1,4 @@
-"""Reading the views of an object: linear light of one photograph at a time, with what may not be used marked."""
+"""Read the views of an object: linear light of one photograph at a time, with unusable values marked."""
 
 from collections.abc import Iterator
 from functools import cached_property
@@ -52,7 +52,7 @@ class Views(StoredArrays):
             self.matrices = None if matrices is None else {view: np.array(m) for view, m in matrices.items()}
 
     def index(self, view: str | int, *, state: str | None = None, light: str | None = None) -> int:
-        """Return the number of a stored frame; state, light: None for the first. UserError where none has that name."""
+        """Return the number of a stored frame; state, light: None for the first. UserError for unknown names."""
         place = self._place(self.lights, light, "light") * len(self.views)
         place = (place + self._view(view)) * len(self.states)
         return place + self._place(self.states, state, "polariser state")
@@ -60,7 +60,7 @@ class Views(StoredArrays):
     def read(
         self, view: str | int, *, state: str | None = None, light: str | None = None
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Linear values (rows, columns, channels) float32 and validity (rows, columns) bool of one photograph.
+        """Read linear values (rows, columns, channels) float32 and validity (rows, columns) bool of one photograph.
 
         view: name or number; state, light: None for the first. 1 is a perfect white where a board was photographed
         without polariser, else full scale at the longest exposure time. Valid: finite, no defect, gain known, saturated
@@ -81,20 +81,20 @@ class Views(StoredArrays):
         return self._group["codes"][self.index(view, state=state, light=light)]
 
     def board(self, state: str, *, light: str | None = None) -> np.ndarray | None:
-        """Mean white board (rows, columns, channels) float32 of a polariser state, in the units of `read`; or None."""
+        """Return the mean white board (rows, columns, channels) float32 of a state, in the units of `read`; or None."""
         key = [self.lights[self._place(self.lights, light, "light")], state]
         boards = self.attributes["boards"]
         return self._group["boards"][boards.index(key)] if key in boards else None
 
     def mean_light(self, view: str | int) -> np.ndarray:
-        """Mean (rows, columns, channels) float32 over the lights, without polariser where there is such a state."""
+        """Compute the mean (rows, columns, channels) float32 over the lights, in the state without polariser if any."""
         state = "off" if "off" in self.states else self.states[0]
         photographs = (self.read(view, state=state, light=light)[0] for light in self.lights)
         total = sum(photograph.astype(np.float64) for photograph in photographs)
         return (np.asarray(total) / len(self.lights)).astype(np.float32)
 
     def silhouette(self, view: str | int) -> np.ndarray | None:
-        """Silhouette (rows, columns) bool that came with the capture, or None."""
+        """Return the capture's silhouette (rows, columns) bool, or None."""
         place = self._view(view)
         if self.views[place] not in self.attributes["silhouettes"]:
             return None
@@ -133,7 +133,7 @@ class Views(StoredArrays):
 
 
 def largest_value(views: Views) -> float | None:
-    """Largest linear value that a photograph of this capture can hold; None for floating-point frames."""
+    """Compute the largest possible linear value of this capture's photographs; None for floating-point frames."""
     if views.dtype.kind != "u":
         return None
     return float(views.lut.max() * views.gain.max() * max(views.attributes["scale"]))

@@ -52,7 +52,7 @@ class Whites:
 
 
 def measure_whites(reader: FrameReader[TurntableCapture], darks: DarkField, edges: Edges, tick: Tick) -> Whites:
-    """Gain of each light from its white board without polariser, else 1.
+    """Compute the gain of each light from its white board without polariser, else 1.
 
     Values are those at the longest exposure of the sample frames; a board brings them to a perfect white.
     """
@@ -86,7 +86,7 @@ def attributes_of(
     silhouettes: list[str],
     boards: list[list[str]],
 ) -> dict:
-    """Attributes of the store. silhouettes: views that have one; boards: [light, polariser state] of each."""
+    """Collect attributes of the store. silhouettes: views that have one; boards: [light, polariser state] of each."""
     block, matrices = capture.settings.turntable, capture.matrices
     finite = np.isfinite(reader.saturated)
     return {
@@ -122,7 +122,7 @@ def attributes_of(
 
 
 def lamp_of(capture: TurntableCapture) -> dict:
-    """{"kind", "vectors"}: unit directions or positions in mm, one a light in the order of the lights, or None."""
+    """Return {"kind", "vectors"}: unit directions or positions in mm, one a light in the lights' order, or None."""
     given, lights = capture.settings.lights, capture.lights
     if given is None or lights is None:
         return {"kind": given.kind if given else "unknown", "vectors": None}
@@ -132,7 +132,7 @@ def lamp_of(capture: TurntableCapture) -> dict:
 
 
 def geometry_files(capture: TurntableCapture) -> dict[str, str | list[str] | None]:
-    """Where each file of the object's geometry lies in the artifact, by its key in the block `turntable`."""
+    """Name each file of the object's geometry in the artifact, by its key in the block `turntable`."""
     block = capture.settings.turntable
     scans = [f"geometry/scans/{i + 1:03d}_{scan.name}" for i, scan in enumerate(capture.scans)]
     return {
@@ -145,7 +145,7 @@ def geometry_files(capture: TurntableCapture) -> dict[str, str | list[str] | Non
 
 
 def geometry_sources(capture: TurntableCapture) -> list[tuple[Path, str]]:
-    """Each file to copy into the artifact: (file of the capture, name in the artifact)."""
+    """List each file to copy into the artifact: (file of the capture, name in the artifact)."""
     block = capture.settings.turntable
     files = geometry_files(capture)
     scans = files.pop("scans") or []
@@ -208,7 +208,7 @@ def write_views(
 def _write_silhouettes(
     group: BandedGroup, capture: TurntableCapture, reader: FrameReader
 ) -> tuple[list[str], list[Problem]]:
-    """Write the given silhouettes, one chunk a view; returns the views that have one, and warnings."""
+    """Write the given silhouettes, one chunk a view; return the views that have one, and warnings."""
     named = [(i, view, frame) for i, view in enumerate(capture.views) if (frame := capture.silhouette_of(view))]
     if not named:
         return [], []
@@ -236,7 +236,7 @@ def read_silhouette(frame: Frame, size: tuple[int, int]) -> Mask:
 def _write_codes(
     group: BandedGroup, reader: FrameReader, outlines: list[str], tick: Tick, *, opened: bool
 ) -> tuple[np.ndarray, list[Problem]]:
-    """Every frame of the object into its chunk; counts (frames, 4) and what was found in the frames.
+    """Write every frame of the object into its chunk; return counts (frames, 4) and problems of the frames.
 
     opened: False where nothing of the plan looks at them: then the array holds no frame.
     """
@@ -279,7 +279,7 @@ def view_problems(
 def _write_boards(
     group: BandedGroup, reader: FrameReader, darks: DarkField, whites: Whites, edges: Edges, tick: Tick
 ) -> list[list[str]]:
-    """Write the mean white board of each light and polariser state, in the samples' units; [light, state] of each.
+    """Write the mean white board of each light and state, in the samples' units; return [light, state] of each.
 
     Saturated samples keep their values: they are the best that is known of the board there.
     """
@@ -303,7 +303,7 @@ def _write_boards(
 
 
 def _write_calibration(group: BandedGroup, reader: FrameReader, tick: Tick) -> None:
-    """Pictures of the calibration board, grey, 8 bits, coded for display so that dark squares keep their steps."""
+    """Write pictures of the calibration board, grey, 8 bits, coded for display so that dark squares stay distinct."""
     frames = reader.capture.frames_of("board")
     if not frames:
         return

@@ -41,7 +41,7 @@ LETTERS = "xy"
 
 @dataclass(frozen=True)
 class Arrangement:
-    """How lamps belong to photographs, and which way their axes run, by what is seen."""
+    """Order of the lamps and direction of their axes, from the photographs."""
 
     order: tuple[int, ...]  # order[i]: the stated lamp that photograph i shows
     axes: str  # axes of the lamps in terms of those stated, as `x,-y`
@@ -58,12 +58,12 @@ class Arrangement:
 
     @property
     def rearranged(self) -> bool:
-        """Whether another order or other axes explain the photographs."""
+        """Return whether another order or other axes explain the photographs."""
         return self.axes != "x,y" or self.order != tuple(range(len(self.order)))
 
     @property
     def as_stated(self) -> bool:
-        """Whether nothing is to be changed."""
+        """Return whether nothing is to be changed."""
         return not self.rearranged and not self.unexplained
 
 
@@ -101,7 +101,7 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
 
 
 def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int = STARTS) -> Arrangement | None:
-    """Find the order and the axes that explain the photographs best, without a test of what was found."""
+    """Find the order and the axes that explain the photographs best, without a test of the result."""
     from scipy.optimize import linear_sum_assignment
 
     tiles = cut_tiles(values, lamps)
@@ -171,7 +171,7 @@ def _add(trials: dict[tuple[int, ...], Trial], tiles: Tiles, order: np.ndarray) 
 
 
 def _complexity(order: np.ndarray, axes: int) -> tuple[int, ...]:
-    """Sort key: as stated, then axes, small shifts, the reversal, exchanged pairs, and other orders."""
+    """Return the sort key: as stated, then axes, small shifts, the reversal, exchanged pairs, and other orders."""
     count = len(order)
     number = np.arange(count)
     moved = int((order != number).sum())
@@ -184,7 +184,7 @@ def _complexity(order: np.ndarray, axes: int) -> tuple[int, ...]:
 
 
 def turned(directions: np.ndarray, axes: str) -> np.ndarray:
-    """Vectors (..., 3) by the axes that `Arrangement.axes` names: `x,-y` has y mirrored."""
+    """Turn vectors (..., 3) to the axes of `Arrangement.axes`: `x,-y` has y mirrored."""
     result = directions.copy()
     for place, name in enumerate(axes.split(",")):
         sign = -1 if name.startswith("-") else 1
@@ -240,12 +240,12 @@ def _compare(first: tuple[Trial, int], other: tuple[Trial, int]) -> tuple[float,
 
 
 def _shares(one: tuple[Trial, int]) -> np.ndarray:
-    """Curl of every tile as a share of the energy of all four derivatives: 0 for a surface, 1/4 for noise."""
+    """Compute the curl of every tile as a share of the energy of all four derivatives: 0: a surface, 1/4: noise."""
     return one[0].energies[:, one[1]] / one[0].energies.sum(axis=1)
 
 
 def _in_errors(differences: np.ndarray) -> np.ndarray:
-    """Mean over its standard error, as the normal deviate that is as rare (Wallace, 1959): tiles may be few.
+    """Divide the mean by its standard error, as the normal deviate that is as rare (Wallace, 1959): tiles may be few.
 
     differences (..., tiles), NaN where unknown; 0 where nothing is known of the error.
     """
@@ -257,7 +257,7 @@ def _in_errors(differences: np.ndarray) -> np.ndarray:
 
 
 def _beyond_doubt(first: tuple[Trial, int], other: tuple[Trial, int]) -> bool:
-    """Whether one test is sure, and the other does not speak against it.
+    """Check whether one test is sure, and the other does not contradict it.
 
     The residual alone is believed of orders by which people err, and not of one in thousands that fits by chance.
     """
@@ -281,19 +281,19 @@ def _measure_asymmetry(lamps: np.ndarray) -> float:
 
 
 def _few(count: int) -> int:
-    """Count of photographs out of place that people cause by exchanging some."""
+    """Return the number of photographs out of place that people cause by exchanging some."""
     return min(4, count // 3)
 
 
 def _pattern(first: np.ndarray, other: np.ndarray) -> tuple[int, bool]:
-    """Count the photographs whose lamps differ, and say whether one order is the other shifted or reversed."""
+    """Count the photographs whose lamps differ, and check whether one order is the other shifted or reversed."""
     place = np.argsort(first)[other]
     plain = [np.roll(order, s) for order in (np.arange(len(first)), np.arange(len(first))[::-1]) for s in first]
     return int((first != other).sum()), any((place == order).all() for order in plain)
 
 
 def _name_axes(axes: int, outwards: np.ndarray) -> str:
-    """Name the axes; of the two a half turn apart, which nothing else tells, those by which the middle stands out."""
+    """Name the axes; of two a half turn apart, which are otherwise alike, those by which the middle stands out."""
     if axes == 0:
         return "x,y"
     sign = 1 if outwards[axes] >= 0 else -1
@@ -302,7 +302,7 @@ def _name_axes(axes: int, outwards: np.ndarray) -> str:
 
 
 def _candidates(tiles: Tiles, seed: int, starts: int) -> list[np.ndarray]:
-    """Orders other than that stated which explain the photographs best by plain least squares, of rank or of curl."""
+    """List orders beside the stated one that explain the photographs best by plain least squares, of rank or curl."""
     count = len(tiles.values)
     directions = tiles.lamps.mean(axis=1)
     directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -325,7 +325,7 @@ def _candidates(tiles: Tiles, seed: int, starts: int) -> list[np.ndarray]:
 def _by_rank(
     level: np.ndarray, directions: np.ndarray, plain: list[np.ndarray], seed: int, starts: int
 ) -> list[np.ndarray]:
-    """Orders by how much of the photographs' space of rank 3 the lamps' space holds, the most first."""
+    """Rank orders by how much of the photographs' space of rank 3 the lamps' space holds, the most first."""
     from scipy.optimize import linear_sum_assignment
 
     axes, _, weights = np.linalg.svd(directions, full_matrices=False)

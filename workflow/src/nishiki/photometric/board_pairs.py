@@ -52,7 +52,7 @@ GRAZED, FACING = 0.3, 0.9  # cosines of the lamp beyond which shadows make a pho
 
 @dataclass(frozen=True)
 class BoardPairs:
-    """Which boards belong to the photographs."""
+    """The boards that belong to the photographs."""
 
     board: np.ndarray  # (lights,) int64: the lamp whose board each photograph shows; its own where nothing is gained
     # before, after: (lights,) float64: logarithms of the photographs' gains with their own boards, and with these
@@ -164,7 +164,7 @@ def _measure(values: np.ndarray, fit: Fit, terms: np.ndarray, patches: np.ndarra
 
 
 def _subtract_course(gains: np.ndarray, covariances: np.ndarray, variance: float) -> np.ndarray:
-    """Subtract from gains (3, lights) their best linear prediction by what the law makes correlated.
+    """Subtract from gains (3, lights) the best linear prediction of their part that the law correlates.
 
     covariances (3, lights, lights): of that; variance: of the rest, more of outliers (Cauchy).
     """

@@ -50,7 +50,7 @@ SMALLEST = np.finfo(np.float32).tiny  # peak that has an inverse in float32
 
 
 def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Intensity of every sample by which gloss counts least: the mean of the channels where the body is grey.
+    """Compute the intensity of every sample in which gloss counts least: the channels' mean where the body is grey.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def body_intensity(observations: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _weigh(begin, end, observations, valid, out):
-    """Intensities of blocks of pixels of observations (lights, pixels, channels), by the module's equations.
+    """Compute intensities of blocks of pixels of observations (lights, pixels, channels), by the module's equations.
 
     The inner loops are over the pixels of a block and have no branches, so that vector instructions can run them.
     """
@@ -269,7 +269,7 @@ COSINE_FLOOR = 0.02
 
 @dataclass(frozen=True)
 class DiffuseReflectance:
-    """reflectance (rows, columns, channels) float32, perfect white = 1; lights_used (rows, columns) uint16.
+    """Diffuse reflectance (rows, columns, channels) float32, perfect white = 1; lights_used (rows, columns) uint16.
 
     Where no selected light reaches a pixel, or the sums leave float32, the reflectance is 0 and lights_used is 0.
     """
@@ -279,7 +279,7 @@ class DiffuseReflectance:
 
 
 def diffuse_reflectance(observations, directions, normals, *, usable, method="least_squares", shading=None):
-    """Reflectance per channel of a surface with known normals and body shading (Lambert's if None).
+    """Estimate the reflectance per channel of a surface with known normals and body shading (Lambert's if None).
 
     observations (lights, rows, columns, channels) float32, perfect white facing the lamp = 1; directions (lights, 3);
     normals (rows, columns, 3); usable (lights, rows, columns) bool; shading (rows, columns, 3) or None, (a, b, d) of
@@ -342,7 +342,7 @@ def _fit(begin, end, samples, directions, surface, mean, out):
 
 
 def mean_of_channels(observations: np.ndarray) -> np.ndarray:
-    """Mean (lights, rows, columns) float32 of observations (lights, rows, columns, channels) over the channels."""
+    """Average observations (lights, rows, columns, channels) over the channels: (lights, rows, columns) float32."""
     observations = np.asarray(observations, dtype=np.float32)
     total = sum(observations[..., k] for k in range(observations.shape[-1]))
     return np.asarray(total / np.float32(observations.shape[-1]))

@@ -1,4 +1,4 @@
-"""Predict every photograph of a plane scene from the others, and say where one of them disagrees.
+"""Predict every photograph of a plane scene from the others, and find where one of them disagrees.
 
 The others are predicted by Lambert's law (`nishiki.photometric.lambert_fit`); what a photograph then says about itself
 is its strength, its ambient light, its direction, whether its lamp burned, and whether it repeats another one.
@@ -57,7 +57,7 @@ SURE = 5.0  # standard errors at which a difference counts: once in two million 
 
 @dataclass(frozen=True)
 class Consistency:
-    """What each photograph (lights,) shows about itself, against the prediction from the others."""
+    """Measures of each photograph (lights,) against its prediction from the others."""
 
     # (lights,) float64: median of |value - prediction| over the median prediction; NaN: not predicted
     residual: np.ndarray
@@ -78,7 +78,7 @@ class Consistency:
     gain_covariance: np.ndarray  # (lights, lights) float64: of the gains
 
     def holds(self, directions: np.ndarray) -> bool:
-        """Whether Lambert's law predicts the photographs well enough to conclude anything from its parameters."""
+        """Check whether Lambert's law predicts the photographs well enough to conclude anything from its parameters."""
         return bool(np.nanmedian(self.residual) < LARGEST_MISFIT) and is_even(self.gain, directions)
 
 
@@ -199,7 +199,7 @@ def split_course(strengths: np.ndarray, directions: np.ndarray) -> tuple[np.ndar
 
 
 def law_errors(misfit: float, directions: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return the errors of log strengths by what the law misses, the course over the directions, and the rest.
+    """Return the errors of log strengths by deviations from the law: the course over the directions, and the rest.
 
     Covariance (lights, lights) of the part that is linear over directions (lights, 3), and variance of the rest.
     """
@@ -208,7 +208,7 @@ def law_errors(misfit: float, directions: np.ndarray) -> tuple[np.ndarray, float
 
 
 def is_even(gains: np.ndarray, directions: np.ndarray) -> bool:
-    """Whether the lamps that burn are as equal as lamps are: metal under equal lamps shows some ten times as strong."""
+    """Check whether the lamps that burn are as equal as lamps are: metal under them shows some ten times as strong."""
     burning = gains > FAINT
     return bool(split_course(gains[burning], directions[burning])[0].std() < MOST_COURSE)
 
@@ -216,7 +216,7 @@ def is_even(gains: np.ndarray, directions: np.ndarray) -> bool:
 def _compare(
     values: np.ndarray, directions: np.ndarray, patches: np.ndarray, fit: Fit, ambient: tuple[float, float]
 ) -> Consistency:
-    """Solve for what each photograph says, given the fit to the others."""
+    """Solve for the unknowns of each photograph, given the fit to the others."""
     count = len(values)
     albedo = np.linalg.norm(fit.normals, axis=1)
     predictions = values - fit.alone - fit.ambient * albedo
@@ -254,7 +254,7 @@ def _compare(
 def _repeated(
     values: np.ndarray, predictions: np.ndarray, residual: np.ndarray, failed: tuple[int, ...]
 ) -> tuple[tuple[int, int], ...]:
-    """Pairs of photographs that differ far less than their lamps should make them, and than neighbours do."""
+    """Find pairs of photographs that differ far less than their lamps should make them, and than neighbours do."""
     judged = [j for j in range(len(values)) if j not in failed and np.isfinite(residual[j])]
     measured, expected = (_differences(v[judged]) for v in (values, predictions))
     if not np.isfinite(measured).any():
@@ -267,7 +267,7 @@ def _repeated(
 
 
 def _differences(values: np.ndarray) -> np.ndarray:
-    """Mean difference (lights, lights) of photographs of equal median, relative to it; inf on the diagonal."""
+    """Compute the mean difference (lights, lights) of photographs of equal median, relative to it; diagonal: inf."""
     level = values / np.maximum(np.nanmedian(values, axis=1, keepdims=True), 1e-300)
     table = np.full((len(values), len(values)), np.inf)
     for i, row in enumerate(level):
@@ -278,7 +278,7 @@ def _differences(values: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class NearLamps:
-    """What photographs show of the distance of their lamps."""
+    """Estimate of the lamps' distance from photographs."""
 
     # width, sigma: width of the picture in the unit of the vectors to the lamps, and its standard error with that of
     # the law
@@ -297,13 +297,13 @@ class NearLamps:
 
     @property
     def shown(self) -> bool:
-        """Whether the lamps are near beyond doubt."""
+        """Return whether the lamps are near beyond doubt."""
         sure = self.width > SURE * self.sigma and self.left < EXPLAINED
         return sure and self.agrees and self.even and self.misfit < LARGEST_MISFIT
 
     @property
     def matters(self) -> bool:
-        """Whether the lamps are near, and far lamps in their place would turn the normals."""
+        """Return whether the lamps are near, and far lamps in their place would turn the normals."""
         return self.shown and self.turn_deg > LEAST_TURN_DEG
 
 
@@ -372,5 +372,5 @@ def _unit(fit: Fit) -> np.ndarray:
 
 
 def _residuals(fit: Fit) -> np.ndarray:
-    """Residuals (lights, pixels) of lit values, NaN elsewhere."""
+    """Return the residuals (lights, pixels) of lit values, NaN elsewhere."""
     return np.where(fit.weights > 0, fit.residuals, np.nan)

@@ -1,4 +1,4 @@
-"""Expected error of the normals: what lamps left out say, and what the integrability says.
+"""Estimate the error of the normals from the spread over lamps left out, and from integrability.
 
 `sigma` is a jackknife over the lamps: it holds errors that change with the lamp. Errors that all
 lamps share leave another trace: the slopes of a surface have no curl (B. K. P. Horn and M. J. Brooks, The variational
@@ -47,7 +47,7 @@ def direction_groups(directions: np.ndarray) -> np.ndarray:
 
 
 def expected_error(normals: np.ndarray, sigma: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Root mean square angle by which the normals are likely to be off.
+    """Estimate the root mean square angle by which the normals are likely to be off.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def correction_error(
 
 
 def slope_error(normals: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """(rows, columns) float32: error of the slopes that explains their curl, d in the module's equations."""
+    """Compute the slopes' error (rows, columns) float32 that explains their curl, d in the module's equations."""
     nz = np.maximum(normals[..., 2], LEAST_NZ)
     p = np.where(valid, -normals[..., 0] / nz, 0).astype(np.float32)
     q = np.where(valid, -normals[..., 1] / nz, 0).astype(np.float32)
@@ -129,7 +129,7 @@ def slope_error(normals: np.ndarray, valid: np.ndarray) -> np.ndarray:
 
 
 def window_mean(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Mean of the known values (0 elsewhere) over a window around each pixel; 0 where none is known."""
+    """Average the known values (0 elsewhere) over a window around each pixel; 0 where none is known."""
     from scipy.ndimage import uniform_filter
 
     share = uniform_filter(known, WINDOW, mode="constant")

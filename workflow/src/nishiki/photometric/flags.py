@@ -1,4 +1,4 @@
-"""What can be wrong with a pixel's normal: one bit each in NormalField.flags."""
+"""Define the defects of a pixel's normal: one bit each in NormalField.flags."""
 
 from enum import IntEnum
 
@@ -19,4 +19,4 @@ NO_ESTIMATE = NormalFlag.TOO_FEW_LIGHTS | NormalFlag.COPLANAR_LIGHTS | NormalFla
 """Where a bit of it is set the normal is (0, 0, 1), albedo 0, sigma pi / 2."""
 COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
 FEW_LIGHTS = 24
-"""Up to here the joint fit with gloss and the fit for relighting pay; with more, the selection has samples enough."""
+"""Number of lights up to which the joint fit with gloss and the relighting fit pay; above, selection suffices."""

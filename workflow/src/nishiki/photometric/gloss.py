@@ -50,7 +50,7 @@ class GlossTile:
         return require(self.cells)
 
     def only(self, chosen: np.ndarray | slice) -> "GlossTile":
-        """Return the same of some pixels of a tile (lights, 1, pixels, ...): numbers, or bool (pixels,)."""
+        """Select some pixels of a tile (lights, 1, pixels, ...): numbers, or bool (pixels,)."""
         of_lights = {name: getattr(self, name)[:, :, chosen] for name in ("observations", "valid")}
         names = ("normals", "flags", "sigma", "reflectance", "cells")
         of_pixels = {name: value[:, chosen] for name in names if (value := getattr(self, name)) is not None}
@@ -146,7 +146,7 @@ SECOND_START = 1.0  # robust cost a value above which the normal that mirrors th
 
 
 JointScene = namedtuple("JointScene", "lights table rotation")
-"""What all pixels of a joint fit share.
+"""Data that all pixels of a joint fit share.
 
 lights (lights, 8) float64: direction, half vector, F, cos theta_q; table (4, NODES) of `GlossProfile.table`;
 rotation (C, C): the first row is the common level of the channels, the others are Helmert's differences.
@@ -167,7 +167,7 @@ class JointSettings(NamedTuple):
 
 
 JointFields = namedtuple("JointFields", "normals reflectance scalars lights_used flags cost")
-"""What the kernel changes: fields of `RefinedNormals` of flat pixels.
+"""Outputs of the kernel: fields of `RefinedNormals` of flat pixels.
 
 scalars (4, pixels): albedo, sigma, condition, residual.
 """
@@ -259,7 +259,7 @@ def refine_normals(
 
 
 def empty_fields(pixels, channels, normals, reflectance, flags):
-    """Make the outputs of the kernel, filled with what is known before."""
+    """Make the outputs of the kernel, filled with the values to start from."""
     scalars = np.zeros((4, pixels), np.float32)
     scalars[1] = 0.5 * np.pi
     start = np.zeros((pixels, channels)) if reflectance is None else reflectance.reshape(pixels, channels)

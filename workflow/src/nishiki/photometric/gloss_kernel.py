@@ -46,7 +46,7 @@ floor: variance of a sample.
 
 @njit(cache=True, error_model="numpy", inline="always")
 def gloss_and_gradient(n, light, cosine, table, out):
-    """Gloss s and its gradient by n, into out (4,). light: (8,) l, h, F, cos theta_q; cosine > 0."""
+    """Compute gloss s and its gradient by n, into out (4,). light: (8,) l, h, F, cos theta_q; cosine > 0."""
     x = n[0] * light[3] + n[1] * light[4] + n[2] * light[5]
     place = np.sqrt(max(2.0 * (1.0 - x), 0.0)) * NODES_PER_UNIT
     node = min(int(place), NODES - 2)
@@ -73,7 +73,7 @@ def gloss_and_gradient(n, light, cosine, table, out):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def tangents(n, t):
-    """Two unit vectors across n (n_z > -1), into t (6,). T. Duff et al., J. Comput. Graph. Tech. 6 (1), 2017."""
+    """Write two unit vectors across n (n_z > -1) into t (6,). T. Duff et al., J. Comput. Graph. Tech. 6 (1), 2017."""
     a = -1.0 / (1.0 + n[2])
     b = n[0] * n[1] * a
     t[0], t[1], t[2] = 1.0 + n[0] * n[0] * a, b, -n[0]
@@ -122,7 +122,7 @@ def predict(n, pixel, scene, settings, t, gradient):
 
 @njit(cache=True, error_model="numpy")
 def strengths(y, rows, rho):
-    """Weighted least-squares reflectance of each component at fixed normal."""
+    """Solve weighted least squares for the reflectance of each component at fixed normal."""
     body, gloss, level, colour = rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
     value, above, below = y[0], 0.0, NOTHING
     for j in range(body.size):
@@ -142,7 +142,7 @@ def strengths(y, rows, rho):
 
 @njit(cache=True, error_model="numpy")
 def weigh(y, rows, rho, tolerance):
-    """Robust weights from the residuals; too dark a sample is distrusted in all components, for shadow takes all."""
+    """Compute robust weights from residuals; distrust too dark a sample in all components, for shadow takes all."""
     lit, body, gloss, level, colour = rows[LIT], rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
     of_level, of_colour = rows[VAR_LEVEL], rows[VAR_COLOUR]
     bound, components, value, first = tolerance * tolerance, rho.size, y[0], rho[0]
@@ -165,7 +165,7 @@ def weigh(y, rows, rho, tolerance):
 
 @njit(cache=True, error_model="numpy")
 def squares(y, rows, rho):
-    """Weighted sum of squares at the present weights."""
+    """Compute the weighted sum of squares at the present weights."""
     body, gloss, level, colour = rows[BODY], rows[GLOSS], rows[W_LEVEL], rows[W_COLOUR]
     value, strength, total = y[0], rho[0], 0.0
     for j in range(body.size):
@@ -181,7 +181,7 @@ def squares(y, rows, rho):
 
 @njit(cache=True, error_model="numpy")
 def gauss_newton(y, rows, rho, out):
-    """Curvature (3) and right-hand side (2) by the tangents, reflectances eliminated (Schur complement), into out."""
+    """Write curvature (3), right-hand side (2) by the tangents, reflectances eliminated (Schur complement), to out."""
     body, body_s, body_t, gloss = rows[BODY], rows[BODY_S], rows[BODY_T], rows[GLOSS]
     gloss_s, gloss_t, level, colour = rows[GLOSS_S], rows[GLOSS_T], rows[W_LEVEL], rows[W_COLOUR]
     h0 = h1 = h2 = g0 = g1 = p = q = 0.0
@@ -282,7 +282,7 @@ def descend(pixel, scene, settings, n, work):
 
 @njit(cache=True, error_model="numpy")
 def misfit(y, known, rows, rho, tolerance, floor):
-    """Robust cost (Geman and McClure), with the logarithms of the variances: what decides between two starts.
+    """Compute the robust cost (Geman and McClure), with the log of the variances, which decides between two starts.
 
     A sample under which the normal turns away from the lamp is predicted as black.
     """
@@ -310,7 +310,7 @@ def misfit(y, known, rows, rho, tolerance, floor):
 
 @njit(cache=True, error_model="numpy")
 def jackknife(y, rows, spare, weights, equations):
-    """Variance of the normal's direction, radians squared: every FOLDS-th lamp left out in turn, one step each.
+    """Estimate the variance of the normal's direction, radians squared: each FOLDS-th lamp left out, one step each.
 
     Delete-a-group jackknife (R. G. Miller, Biometrika 61, 1974): unlike the curvature of the fit, it sees errors that
     lamps share. weights (2, lights) and spare (components,) are scratch.
@@ -335,7 +335,7 @@ def jackknife(y, rows, spare, weights, equations):
 
 @njit(cache=True, error_model="numpy")
 def describe(pixel, lights, variance, max_condition, p, fields):
-    """Sigma, condition, residual and lights used of a pixel, and its flags."""
+    """Write sigma, condition, residual and lights used of a pixel, and its flags."""
     y, rows, rho, scalars = pixel.y, pixel.rows, pixel.rho, fields.scalars
     a = b = c = d = e = f = 0.0
     weight = squared = 0.0
@@ -362,7 +362,7 @@ def describe(pixel, lights, variance, max_condition, p, fields):
 
 @njit(cache=True, error_model="numpy")
 def rotate(observations, rotation, p, y):
-    """Components (C, lights) of pixel p; returns the light of the largest level and the mean level of the others."""
+    """Rotate pixel p to components (C, lights); return the light of the largest level and the others' mean level."""
     lights, channels = observations.shape[0], y.shape[0]
     top, highest, total = 0, -np.inf, 0.0
     for j in range(lights):
@@ -379,7 +379,7 @@ def rotate(observations, rotation, p, y):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def refine_pixels(first, last, observations, valid, scene, settings, fields):
-    """Refine the pixels first .. last - 1 in place, where their flags say that there is an estimate to start from.
+    """Refine the pixels first .. last - 1 in place, where their flags mark an estimate to start from.
 
     observations (lights, pixels, channels) float32; valid (lights, pixels) bool; scene, settings and fields are named
     tuples of `nishiki.photometric.gloss`.

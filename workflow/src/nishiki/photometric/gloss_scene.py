@@ -203,7 +203,7 @@ def strengthened(
     fits: Sequence[RefinedNormals | None],
     where: Sequence[np.ndarray | bool] | None = None,
 ) -> GlossProfile:
-    """Fit the lobes to specular samples, by the last round's fits or, for None, by what the tiles came with.
+    """Fit the lobes to specular samples, by the last round's fits or, for None, by the tiles' own fields.
 
     where : of each tile, (rows, columns) bool, pixels that count.
     """
@@ -231,7 +231,7 @@ def refined(tile: GlossTile, profile: GlossProfile) -> RefinedNormals:
 
 
 def mean_cost(tiles, fits) -> float:
-    """Robust cost a value over all tiles."""
+    """Average the robust cost a value over all tiles."""
     total, values = 0.0, 0
     for tile, fit in zip(tiles, fits, strict=True):
         done = (fit.flags & (NO_ESTIMATE | NormalFlag.FALLBACK)) == 0

@@ -40,7 +40,7 @@ BOW_PIXELS = 100_000  # at most, to which the quadratic surface of `bow` is fitt
 
 @dataclass(frozen=True, repr=False)
 class HeightField(Summarised):
-    """A relief with what the integration left over.
+    """A relief and the residual of its integration.
 
     height (rows, columns) float32 in the unit of the pixel pitch, towards the camera, mean 0 over each connected part;
     NaN where `valid` (rows, columns) bool is False: a number there would be a wall around the object.
@@ -135,7 +135,7 @@ def integrate_bands(shape, read, write, *, pixel_pitch, method, iterations=(1e-5
     shape : (int, int)
         Rows and columns.
     read : callable
-        Of a slice of rows: normals (r, columns, 3), valid (r, columns) bool.
+        Function of a slice of rows that returns normals (r, columns, 3) and valid (r, columns) bool.
     write : callable
         Called once for each band, from the top: rows, heights (r, columns) float32, valid (r, columns).
     pixel_pitch, method
@@ -210,7 +210,7 @@ def integrate_bands(shape, read, write, *, pixel_pitch, method, iterations=(1e-5
 
 
 def band_rows(columns):
-    """Rows of a picture of so many columns that are held at once."""
+    """Return the number of rows held at once of a picture of so many columns."""
     return max(16, min(256, BAND_PIXELS // columns))
 
 
@@ -222,7 +222,7 @@ def unit_normals(read, rows):
 
 
 def slopes(read, rows, dtype, pitch):
-    """Height differences (along, down) that the normals of a band ask for, valid pixels, and the weight nz^4 of each.
+    """Compute height differences (along, down) from a band's normals, valid pixels, and the weight nz^4 of each.
 
     The weight is 0 where a pixel is not valid.
     """
@@ -296,12 +296,12 @@ class Sample:
         self.bands.append((rows + first, columns, values[rows, columns]))
 
     def chosen(self):
-        """Rows, columns and values of the pixels."""
+        """Return rows, columns and values of the pixels."""
         return [np.concatenate(each) for each in zip(*self.bands, strict=True)]
 
 
 def bow(sample, pitch):
-    """Range of the second-order part of some heights over the longer side of their places; 0 of a single pixel.
+    """Compute the range of the second-order part of heights over the longer side of their places; 0 of one pixel.
 
     The second-order part is that of the least-squares quadratic surface: a plane has none, a bowl is hardly more.
     """
@@ -330,7 +330,7 @@ def flatten_normals(shape, read, write):
     shape : (int, int)
         Rows and columns.
     read : callable
-        Of a slice of rows: unit normals (r, columns, 3), x right, y up, z to the camera; where they count, (r, columns)
+        Function of a slice of rows: unit normals (r, columns, 3), x right, y up, z to the camera; valid (r, columns)
         bool.
     write : callable
         Called once for each band, from the top: rows, turned normals (r, columns, 3) float32, 0 where they do not
@@ -362,7 +362,7 @@ def flatten_normals(shape, read, write):
 
 
 def smooth_normals(shape, read):
-    """Coefficients (4, 4, 3) of Legendre polynomials along y and x, each from -1 to 1, of the smooth part of normals.
+    """Fit Legendre coefficients (4, 4, 3) along y and x, each from -1 to 1, to the smooth part of normals.
 
     Least sum over the squares of Huber's function of the length of the difference (P. J. Huber, Robust estimation of a
     location parameter, Annals of Mathematical Statistics 35 (1), 1964), by iteratively reweighted least squares.

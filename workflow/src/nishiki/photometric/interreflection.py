@@ -1,4 +1,4 @@
-"""Light that a concave object throws on itself: which part of each photograph it is, so that it can be taken off.
+"""Estimate the light that a concave object throws on itself as a part of each photograph, to subtract it.
 
 A sample is rho (E + B), E the light of the lamp and B the light of other places of the object. Under Lambert's law a
 place is as bright from everywhere, so that the photograph itself holds what reaches the others, all bounces included
@@ -61,7 +61,7 @@ class Facets:
 
 @dataclass(frozen=True)
 class Interreflection:
-    """What facets throw on each other.
+    """Light that facets throw on each other.
 
     shares (lights, rows, columns, channels): thrown light that a facet reflects under each lamp, over the sum of its
     observations under all; factors: of `form_factors`, of the facets that are known (rows, columns) bool; reflectance
@@ -80,7 +80,7 @@ def taken_off(observations: np.ndarray, shares: np.ndarray) -> np.ndarray:
 
 
 def form_factors(normals: np.ndarray, valid: np.ndarray) -> sparse.csr_array:
-    """Compute which share of the light of each facet reaches each other one, (facets, facets) of the valid ones.
+    """Compute the share of each facet's light that reaches each other one, (facets, facets) of the valid ones.
 
     Parameters
     ----------

@@ -249,7 +249,7 @@ def dot_lamps(lamps: np.ndarray, normals: np.ndarray) -> np.ndarray:
 def lit_and_dark(
     known: np.ndarray, filled: np.ndarray, cosine: np.ndarray, albedo: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Say which values (lights, pixels) the lamp lights, and which lie in attached shadow.
+    """Find which values (lights, pixels) the lamp lights, and which lie in attached shadow.
 
     In shadow by the model and in the photograph: a bright value stays, else a wrong fit would drop what it misses.
     """
@@ -260,7 +260,7 @@ def lit_and_dark(
 
 
 def scale_of(residual: np.ndarray, lit: np.ndarray, albedo: np.ndarray) -> np.ndarray:
-    """Robust standard deviation (pixels,) of the residuals (lights, pixels) of lit values.
+    """Estimate the robust standard deviation (pixels,) of the residuals (lights, pixels) of lit values.
 
     At least that of all pixels: a pixel whose weights are gone to all but three values fits these exactly.
     """

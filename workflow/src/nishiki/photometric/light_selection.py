@@ -17,7 +17,7 @@ VALUES = 1 << 15  # samples of pixels that array code treats together: they stay
 
 @dataclass(frozen=True, repr=False)
 class LightSelection(Summarised):
-    """Which samples are taken as diffuse, and why the others are not.
+    """Samples that are taken as diffuse, and the reasons against the others.
 
     usable (lights, rows, columns) bool; the counts (rows, columns) uint16 are lights per pixel. `invalid` counts the
     samples that arrived unusable (saturated, dark-clipped, not finite); `highlights` and `shadows` those that the
@@ -33,11 +33,11 @@ class LightSelection(Summarised):
 
 
 Lamps = namedtuple("Lamps", "directions products sort_all sort_smallest")
-"""directions (lights, 3), their products (lights, 9) float32; networks that sort all samples, and the smallest."""
+"""Lamps: directions (lights, 3), their products (lights, 9) float32; networks that sort all samples, the smallest."""
 
 
 Selected = namedtuple("Selected", "usable highlights shadows")
-"""usable (lights, pixels) bool; numbers of highlights and shadows (pixels,) uint16 among the others."""
+"""A selection: usable (lights, pixels) bool; numbers of highlights and shadows (pixels,) uint16 among the others."""
 
 
 def select_diffuse(
@@ -198,7 +198,7 @@ def sum_lights(*factors: np.ndarray) -> np.ndarray:
 
 
 def direction_products(directions):
-    """(lights, 9): xx, xy, xz, yy, yz, zz, x, y, z of each direction, as the kernels add them up."""
+    """Compute xx, xy, xz, yy, yz, zz, x, y, z of each direction, as the kernels add them up: (lights, 9)."""
     x, y, z = directions.T
     return np.ascontiguousarray(np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x, y, z], axis=1))
 

@@ -1,4 +1,4 @@
-"""Normals from a reflectance with a diffuse fall-off and a gloss lobe: what Lambert's law leaves out, per pixel.
+"""Fit normals under a reflectance with a diffuse fall-off and a gloss lobe beside Lambert's law, per pixel.
 
 Model of one sample, with c = max(n . l, 0), x = max(n . h, 0), h the half vector of light and view:
 
@@ -65,7 +65,7 @@ def powers(x):
 
 @njit(cache=True, error_model="numpy")
 def add_up(values, weights, vectors, surface, slopes, sums):
-    """One pass over the lights: into sums (SUMS * BLOCK) float32 what the Gauss-Newton step needs.
+    """Sum over the lights into sums (SUMS * BLOCK) float32 the terms of the Gauss-Newton step.
 
     values, weights (lights, BLOCK) float32; vectors (6, lights) float32: l and h; surface (SURFACE * BLOCK) float32;
     slopes (SLOPES * lights, LANES): work array, so that either loop finds room in the registers.
@@ -105,7 +105,7 @@ def differentiate(values, weights, vectors, surface, p, slopes):
 
 @njit(cache=True, error_model="numpy")
 def add_products(slopes, p, sums):
-    """Weighted products of the derivatives with each other and with the residuals, and the sum of squares."""
+    """Sum weighted products of the derivatives with each other and with the residuals, and the squares."""
     zero = np.float32(0.0)
     m00 = m01 = m02 = m03 = m04 = m11 = m12 = m13 = m14 = m22 = m23 = m24 = m33 = m34 = m44 = splat(zero)
     r0 = r1 = r2 = r3 = r4 = squares = splat(zero)
@@ -300,7 +300,7 @@ def descend(values, weights, vectors, rounds, state):
 
 @njit(cache=True, error_model="numpy")
 def choose_samples(values, known, vectors, surface, limit, weights, count):
-    """Weight 1 for the lit, known samples whose residual is at most `limit` (BLOCK,) float32; their number."""
+    """Set weight 1 for the lit, known samples whose residual is at most `limit` (BLOCK,) float32; count them."""
     zero, one, low = np.float32(0.0), np.float32(1.0), np.float32(1e-3)
     for p in range(0, BLOCK, LANES):
         most, total = load(limit, p), splat(zero)

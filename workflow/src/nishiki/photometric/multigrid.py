@@ -53,7 +53,7 @@ Rows = np.ndarray | RowsOnDisk
 
 @dataclass(frozen=True)
 class Window:
-    """Rows of a picture: `core` are to be computed, `read` with what they depend on, `inner` is the core in these."""
+    """Rows of a picture: `core` are to be computed, `read` with those they depend on, `inner` is the core in these."""
 
     core: slice
     read: slice
@@ -77,12 +77,12 @@ def windows(rows: int, step: int, margin: int) -> Iterator[Window]:
 
 
 def edges(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of the pairs of neighbours, along and down: the smaller of the two pixels'."""
+    """Compute the weights of the pairs of neighbours, along and down: the smaller of the two pixels'."""
     return np.minimum(weight[:, :-1], weight[:, 1:]), np.minimum(weight[:-1], weight[1:])
 
 
 def divergence(flows: tuple[np.ndarray, np.ndarray], weights: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Right-hand side of the normal equations: the weighted differences that end in a pixel less those that start."""
+    """Compute the normal equations' right-hand side: weighted differences that end in a pixel less those that start."""
     along, down = flows
     out = np.zeros((along.shape[0], down.shape[1]), along.dtype)
     flow = along * weights[0]
@@ -153,7 +153,7 @@ def levels_of(finest: Level, count: int | None = None) -> list[Level]:
 
 
 def descend(levels: list[Level], right: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
-    """First half of a V cycle: heights and right-hand sides of the levels, and the right-hand side below the last."""
+    """Run the first half of a V cycle: heights and right-hand sides of the levels, and that below the last."""
     passed = []
     for level in levels:
         height = level.start(right)
@@ -165,7 +165,7 @@ def descend(levels: list[Level], right: np.ndarray) -> tuple[list[tuple[np.ndarr
 
 
 def ascend(levels: list[Level], passed: list[tuple[np.ndarray, np.ndarray]], below: np.ndarray) -> np.ndarray:
-    """Second half of a V cycle, from the heights below the last level."""
+    """Run the second half of a V cycle, from the heights below the last level."""
     for level, (height, right) in zip(reversed(levels), reversed(passed), strict=True):
         rows, columns = height.shape
         height += np.repeat(np.repeat(below, 2, axis=0)[:rows], 2, axis=1)[:, :columns]
@@ -174,7 +174,7 @@ def ascend(levels: list[Level], passed: list[tuple[np.ndarray, np.ndarray]], bel
 
 
 def inner(a: np.ndarray, b: np.ndarray) -> float:
-    """Scalar product, summed in float64 row by row, so that float32 fields of many megapixels lose nothing."""
+    """Compute the scalar product in float64 row by row, so that float32 fields of many megapixels lose nothing."""
     return float(np.sum(np.einsum("rc,rc->r", a, b, dtype=np.float64)))
 
 

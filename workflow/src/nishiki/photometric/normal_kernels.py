@@ -22,7 +22,7 @@ TERMS = 10  # six products of the direction, three of the right-hand side, the s
 
 @njit(cache=True, error_model="numpy")
 def solve_block(right, inverse_of, count, weight, solved):
-    """Solutions of a block from the right-hand sides and the sums of squares, and the inverse matrices.
+    """Solve a block from the right-hand sides, the sums of squares, and the inverse matrices.
 
     right (4, BLOCK), inverse_of (6, BLOCK), count, weight (BLOCK,); into solved (6, BLOCK): unit normal, length, root
     mean square residual, and the root mean square angle of the normal's error: sqrt(trace(P C P)), P the projector
@@ -56,7 +56,7 @@ def solve_block(right, inverse_of, count, weight, solved):
 
 @njit(cache=True, error_model="numpy")
 def condition_block(matrices, count, conditions, inverses):
-    """Condition numbers (BLOCK,) and inverses (6, BLOCK) of the normal matrices (6, BLOCK) of a block.
+    """Compute condition numbers (BLOCK,) and inverses (6, BLOCK) of the normal matrices (6, BLOCK) of a block.
 
     Infinite where there are fewer than three lights, and where a pivot that rounding has made 0 or negative says the
     same as a smallest eigenvalue that is lost in it.
@@ -78,7 +78,7 @@ def condition_block(matrices, count, conditions, inverses):
 
 @njit(cache=True, error_model="numpy")
 def write_block(solved, condition, count, max_condition, start, width, estimates):
-    """Write the estimates of a block's pixels: what `solve_block` found, where it is a surface."""
+    """Write the estimates of a block's pixels: the results of `solve_block`, where it is a surface."""
     normals, scalars, lights_used, flags = estimates
     for i in range(width):
         p, flag, length, z = start + i, 0, solved[3, i], solved[2, i]
@@ -107,7 +107,7 @@ def write_block(solved, condition, count, max_condition, start, width, estimates
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def solve_weighted(begin, end, observations, weights, products, max_condition, estimates):
-    """Least squares with weights of its own at every pixel of the blocks begin .. end - 1; a mask is 0 or 1.
+    """Solve least squares with own weights at every pixel of the blocks begin .. end - 1; a mask is 0 or 1.
 
     observations (lights, pixels) float32; weights (lights, pixels) uint8 or float32; products (lights, 9): the six
     products of each direction with itself, then the direction; estimates (`solve.Estimates`) are written. Accumulated

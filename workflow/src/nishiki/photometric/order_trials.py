@@ -150,7 +150,7 @@ def tabulate_misfits(tiles: Tiles, trial: Trial, turn: np.ndarray) -> np.ndarray
 
 
 def _robust_normals(values: np.ndarray, lamps: np.ndarray, fit: Fit) -> np.ndarray:
-    """Albedo times normal (pixels, 3) of all pixels with the gains of a fit, by four rounds of reweighting."""
+    """Solve for albedo times normal (pixels, 3) of all pixels with the gains of a fit, by four reweighted rounds."""
     vectors = fit.gains[:, None, None] * (lamps if lamps.shape[1] == 1 else lamps.repeat(TILE * TILE, axis=1))
     known = np.isfinite(values)
     filled, weights = np.where(known, values, 0.0), known.astype(np.float64)

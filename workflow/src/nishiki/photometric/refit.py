@@ -80,7 +80,7 @@ def add_up(values, weights, products, sums):
 
 @njit(cache=True, error_model="numpy")
 def solve_block(sums, at_least, scaled):
-    """Scaled normals (4 * BLOCK: x, y, z, length) from the sums; with fewer than at_least samples they stay."""
+    """Solve the sums for scaled normals (4 * BLOCK: x, y, z, length); with fewer than at_least samples they stay."""
     for p in range(BLOCK):
         trace = RIDGE * (sums[p] + sums[p + 3 * BLOCK] + sums[p + 5 * BLOCK]) + np.float32(1e-30)
         a, b, c = sums[p] + trace, sums[p + BLOCK], sums[p + 2 * BLOCK]
@@ -99,7 +99,7 @@ def solve_block(sums, at_least, scaled):
 
 @njit(cache=True, error_model="numpy")
 def distances(values, known, directions, scaled, out):
-    """How badly each sample fits: |residual|, times ABOVE where the sample is too bright; FAR if unlit or unknown."""
+    """Compute each sample's misfit: |residual|, times ABOVE where it is too bright; FAR if unlit or unknown."""
     zero = np.float32(0.0)
     for p in range(0, BLOCK, LANES):
         nx, ny, nz = load(scaled, p), load(scaled, p + BLOCK), load(scaled, p + 2 * BLOCK)
@@ -112,7 +112,7 @@ def distances(values, known, directions, scaled, out):
 
 @njit(cache=True, error_model="numpy")
 def keep_below(distance, limit, weights):
-    """Weight 1 for the samples whose distance is at most the pixel's limit (and not FAR), else 0."""
+    """Set weight 1 for the samples whose distance is at most the pixel's limit (and not FAR), else 0."""
     one, zero = np.float32(1.0), np.float32(0.0)
     for p in range(0, BLOCK, LANES):
         most = load(limit, p)
@@ -152,7 +152,7 @@ def load_block(observations, valid, start, values, known, ranked, count):
 
 @njit(cache=True, error_model="numpy")
 def open_window(ordered, values, known, count, ranks, limits, weights):
-    """Weight 1 for the samples within a window of ranks.
+    """Set weight 1 for the samples within a window of ranks.
 
     ranks: its share of the samples, the fraction of the places it can have at which it starts, and its least size;
     limits (2, BLOCK): work array.
@@ -185,7 +185,7 @@ def concentrate(distance, ordered, comparators, count, at_least, limit, weights)
 
 @njit(cache=True, error_model="numpy")
 def judge(distance, weights, scaled, count, at_least, quality):
-    """Mean squared relative distance of the kept samples, raised where fewer than asked were lit."""
+    """Average the squared relative distance of the kept samples, raised where fewer than required were lit."""
     zero, one, most, floor = np.float32(0.0), np.float32(1.0), np.float32(10.0), np.float32(NOISE)
     for p in range(0, BLOCK, LANES):
         kept = total = splat(zero)

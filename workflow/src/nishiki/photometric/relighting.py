@@ -33,7 +33,7 @@ TERMS = {"plain": 3, "directional": 5}  # of the map `shading`
 
 
 def fit_relighting(observations, directions, normals, *, valid, scatter, reflectance, shading, model="plain"):
-    """Shading normals, body shading and reflectance that predict lamps.
+    """Fit shading normals, body shading and reflectance that predict lamps.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def fit_relighting(observations, directions, normals, *, valid, scatter, reflect
 
 
 def _least_squares(level, weight, basis, first, held) -> tuple[np.ndarray, np.ndarray]:
-    """Terms (terms, pixels) of level = basis . terms with the prior `held` about `first`, and where there are some."""
+    """Solve level = basis . terms: terms (terms, pixels) with prior `held` about `first`, and where there are some."""
     size = len(basis)
     matrix, right = np.zeros((level.shape[1], size, size)), np.empty((level.shape[1], size))
     for i in range(size):
@@ -103,7 +103,7 @@ def _least_squares(level, weight, basis, first, held) -> tuple[np.ndarray, np.nd
 
 
 def _robust_fit(level, weight, allowed, basis, first, held, rounds: int):
-    """Fit as `_least_squares`, again and again with Cauchy's weights of the samples that the fit lights."""
+    """Fit like `_least_squares`, repeatedly, with Cauchy's weights of the samples that the fit lights."""
     found = True
     for _ in range(rounds):
         terms, sound = _least_squares(level, weight, basis, first, held)

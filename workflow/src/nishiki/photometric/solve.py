@@ -35,19 +35,19 @@ WORSE, SOMEWHAT = 16.0, 1.3
 
 
 Estimates = namedtuple("Estimates", "normals scalars lights_used flags")
-"""What the kernels write: normals (pixels, 3), scalars (4, pixels) float32: albedo, sigma, condition, residual.
+"""Outputs of the kernels: normals (pixels, 3), scalars (4, pixels) float32: albedo, sigma, condition, residual.
 
 lights_used (pixels,) uint16 and flags (pixels,) uint8, the bits of `nishiki.photometric.flags`.
 """
 
 
 Samples = namedtuple("Samples", "observations usable known")
-"""observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all alike."""
+"""Samples: observations (lights, pixels) float32; usable, known (lights, pixels) uint8, or (lights, 1) for all."""
 
 
 @dataclass(frozen=True, repr=False)
 class NormalField(Summarised):
-    """Normals with what is known about them; every array (rows, columns).
+    """Normals, their uncertainty and flags; every array (rows, columns).
 
     normals (rows, columns, 3) float32, unit vectors, x right, y up, z to the camera; albedo float32, relative to the
     white reference; sigma float32, root mean square angle of the error in radians, first order, from the residual;
@@ -119,7 +119,7 @@ def estimate_normals(
     weights : (lights,) or (lights, rows, columns) array_like of float, optional
         Weights of the samples, zero or more; only for the solver `least_squares`.
     valid : (lights, rows, columns) array_like of bool, optional
-        What is not valid enters no fit, chosen or not. Default: all.
+        Observations that enter fits, where they are also chosen. Default: all.
     solver : {'lobe', 'least_squares'}, optional
         `least_squares`: ordinary (weighted) least squares on the usable samples. `lobe`, the default: from there, a
         reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`), which chooses the samples
@@ -259,7 +259,7 @@ def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition)
 
 
 def lambertian(stack, directions, factors, max_condition) -> Estimates:
-    """Lambertian least squares into new outputs; factors (lights, pixels or 1) uint8 or float32."""
+    """Solve Lambertian least squares into new outputs; factors (lights, pixels or 1) uint8 or float32."""
     from nishiki.lanes import BLOCK
     from nishiki.photometric.normal_kernels import solve_weighted
 
@@ -347,7 +347,7 @@ def distrusted(stack, directions, usable, known, outputs):
 
 
 def condition_of(chosen, directions):
-    """Condition (n,) of the normal matrix of the chosen (lights, n) lights; infinite where it is singular."""
+    """Compute the condition (n,) of the normal matrix of the chosen (lights, n) lights; infinite if it is singular."""
     outer = (directions[:, :, None] * directions[:, None, :]).reshape(len(directions), -1)
     values = np.linalg.eigvalsh((chosen.T.astype(np.float64) @ outer).reshape(-1, 3, 3))
     least, largest = values[:, 0], values[:, 2]
@@ -356,7 +356,7 @@ def condition_of(chosen, directions):
 
 
 def gloss_explains(samples, directions, halves, usable, known, normals, albedo):
-    """Whether samples left out as too bright lie nearer to the mirror direction, on average, than those kept; (n,)."""
+    """Check whether samples left out as too bright are nearer the mirror direction on average than those kept; (n,)."""
     mirror = np.maximum(halves @ normals.T, 0.0)
     bright = known & ~usable & (samples > albedo * np.maximum(directions @ normals.T, 0.0))
     kept = known & usable

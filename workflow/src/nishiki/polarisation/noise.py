@@ -15,7 +15,7 @@ from nishiki.polarisation.polariser_states import StateSums
 
 @dataclass(frozen=True)
 class PhotographNoise:
-    """Model the variance of a photograph's values I as slope I + floor.
+    """The variance of a photograph's values I, modelled as slope I + floor.
 
     Each is (channels,) float64 in the units of `Views.read`, at the longest exposure time.
     """
@@ -25,7 +25,7 @@ class PhotographNoise:
 
     @property
     def positive(self) -> bool:
-        """Whether every channel has some."""
+        """Return whether every channel has some noise."""
         return bool(((self.slope > 0) | (self.floor > 0)).all())
 
 
@@ -81,7 +81,7 @@ def differences_of(
 
 
 def _photographs_by_planes(sums: StateSums) -> np.ndarray:
-    """(states, planes): expected photographs as sums of planes."""
+    """Express expected photographs as sums of planes: (states, planes)."""
     if sums.method == "linear":
         return sums.design
     if sums.method == "mueller":
@@ -99,14 +99,14 @@ class Series:
     inverse: np.ndarray | None
 
     def rows(self, rows: slice) -> np.ndarray:
-        """Planes of some rows, float64; of circular states I_off and I_on / beta."""
+        """Return planes of some rows, float64; of circular states I_off and I_on / beta."""
         part = self.planes[:, rows].astype(np.float64)
         if self.inverse is not None:
             part[1] *= self.inverse[rows]
         return part
 
     def differences(self, part: np.ndarray) -> np.ndarray:
-        """(d, rows, columns, channels)."""
+        """Compute the differences (d, rows, columns, channels)."""
         return np.einsum("jp,p...->j...", self.kinds.of_planes, part)
 
     def noise_of_differences(self, part: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]:
@@ -126,7 +126,7 @@ class Series:
         return np.stack([off, -on])[:, None], np.stack([np.broadcast_to(off_count, on.shape), -on_count])[:, None]
 
     def _noise_of_planes(self, part: np.ndarray, rows: slice):
-        """(factor of slope, factor of floor) of I_off and of I_on / beta."""
+        """Compute (factor of slope, factor of floor) of I_off and of I_on / beta."""
         scales = self.kinds.level[0]
         inverse = scales[1] * require(self.inverse)[rows].astype(np.float64)
         lit = np.maximum(part, 0)
@@ -134,12 +134,12 @@ class Series:
 
 
 def inverse_of(beta: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """1 / beta at every pixel and channel, 0 where beta is unknown: nothing is divided there."""
+    """Compute 1 / beta at every pixel and channel, 0 where beta is unknown: nothing is divided there."""
     return np.broadcast_to(np.float32(1) / np.where(beta > 0, beta, np.float32(np.inf)), shape)
 
 
 def _cells(values: np.ndarray) -> np.ndarray:
-    """With axes for rows, columns and channels."""
+    """Append axes for rows, columns and channels."""
     return values[..., None, None, None]
 
 
@@ -150,7 +150,7 @@ APART = 2  # pixels between those that second differences for the noise compare:
 
 
 def measure_noise(series: Series) -> tuple[PhotographNoise | None, np.ndarray]:
-    """Noise of the photographs, and the colour of the specular light (d * channels,), both by the view itself.
+    """Measure the noise of the photographs and the colour of the specular light (d * channels,) by the view itself.
 
     Second differences of every other pixel in both directions (after Immerkaer 1996) of c_l q_k - c_k q_l, for channels
     k and l: the diffuse light is not in q, and what has the colour c cancels. The median of their squares in bins of
@@ -201,7 +201,7 @@ def _least_squares(table: np.ndarray, variances: np.ndarray, channels: int) -> P
 
 @dataclass(frozen=True)
 class _Strip:
-    """Hold the differences of some rows."""
+    """Differences of some rows."""
 
     q: np.ndarray
     # (d, pixels, channels) of their usable pixels; level and count (pixels, d, channels) of the pixels (`complete`)
@@ -224,7 +224,7 @@ class _Strip:
 
 
 def complete_around(usable: np.ndarray, apart: int) -> np.ndarray:
-    """(rows - 2 apart, columns - 2 apart) bool: pixels that are usable with their eight neighbours so far apart."""
+    """Mark (rows - 2 apart, columns - 2 apart) bool pixels that are usable with their eight neighbours so far apart."""
     across = usable[:, : -2 * apart] & usable[:, apart:-apart] & usable[:, 2 * apart :]
     return across[: -2 * apart] & across[apart:-apart] & across[2 * apart :]
 
@@ -244,7 +244,7 @@ def squared_differences(values: np.ndarray, complete: np.ndarray, apart: int) ->
 
 
 def _bins(level: np.ndarray) -> tuple[np.ndarray, list[tuple[int, int]]]:
-    """Order of pixels by their bin of brightness, and where in this order each bin with enough pixels lies."""
+    """Order pixels by their bin of brightness, and find where in this order each bin with enough pixels lies."""
     bright = np.sqrt(level)
     top = np.percentile(bright, 99.9) if len(bright) else 0.0
     number = np.minimum((bright * (BINS / top) if top > 0 else 0 * bright).astype(np.int64), BINS - 1)
@@ -254,7 +254,7 @@ def _bins(level: np.ndarray) -> tuple[np.ndarray, list[tuple[int, int]]]:
 
 
 def _pairs_of(colour: np.ndarray) -> list[tuple[int, int, float, float]]:
-    """Channels k, l and their colours c_k, c_l, whose difference c_l q_k - c_k q_l has no light of that colour."""
+    """List channels k, l and their colours c_k, c_l, whose difference c_l q_k - c_k q_l has no light of that colour."""
     n = len(colour)
     if n < 3:
         return [(k, k, 0.0, 1.0) for k in range(n)]

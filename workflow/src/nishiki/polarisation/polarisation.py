@@ -18,7 +18,7 @@ from nishiki.polarisation.polariser_states import StateSums
 
 @dataclass(frozen=True)
 class SeparatedView:
-    """Hold the components of one view.
+    """The components of one view.
 
     diffuse, specular (rows, columns, channels) float32, 0 where not valid; specular may be negative, which is noise.
     valid (rows, columns) bool: every photograph that was used is valid there, and what divides is known.
@@ -32,7 +32,7 @@ class SeparatedView:
 def sum_planes(
     photographs: Iterable[tuple[np.ndarray, np.ndarray]], weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted sums (planes, rows, columns, channels) float32 of photographs, and where all that count are valid.
+    """Sum weighted photographs to (planes, rows, columns, channels) float32, and find where all that count are valid.
 
     photographs: (values (rows, columns, channels) float32, valid (rows, columns) bool) in the order of the columns of
     weights (planes, states); taken one at a time, those of weight 0 too.
@@ -134,7 +134,7 @@ FILLED = 0.25  # of a block's pixels must be lit
 
 @dataclass(frozen=True)
 class Beta:
-    """Hold beta of a board."""
+    """Beta of a board."""
 
     channel: tuple[float, ...]  # (channels,): beta of the whole board
     field: np.ndarray  # (rows, columns, channels) float32: by place, NaN where it is below the limit
@@ -146,7 +146,7 @@ class Beta:
 def board_ratio(
     over: np.ndarray, under: np.ndarray, *, block: int = 16, least: float, what: str = "beta", local: bool = True
 ) -> Beta:
-    """Ratio of two board images (rows, columns, channels), sums over blocks of `block` pixels, bilinear in between.
+    """Divide two board images (rows, columns, channels), sums over blocks of `block` pixels, bilinear in between.
 
     A ratio below `least` is never divided by: such pixels become NaN and are counted. local False: one value a channel.
 
@@ -189,7 +189,7 @@ def _cells(values: np.ndarray, block: int) -> np.ndarray:
 
 
 def _between(blocks: np.ndarray, shape: tuple[int, int], block: int) -> np.ndarray:
-    """Bilinear between the centres of the blocks, constant outside them: (*shape, channels) float64."""
+    """Interpolate bilinearly between the centres of the blocks, constant outside: (*shape, channels) float64."""
     for axis, size in enumerate(shape):
         count = blocks.shape[axis]
         centres = (np.minimum(np.arange(count) * block + block, size) + np.arange(count) * block - 1) / 2

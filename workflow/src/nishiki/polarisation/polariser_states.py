@@ -23,13 +23,13 @@ from nishiki.formats.text_tables import load_plain
 
 
 def polariser(angle: float) -> np.ndarray:
-    """(4, 4) ideal linear polariser at `angle` (radians)."""
+    """Return the Mueller matrix (4, 4) of an ideal linear polariser at `angle` (radians)."""
     c, s = np.cos(2 * angle), np.sin(2 * angle)
     return 0.5 * np.outer([1, c, s, 0], [1, c, s, 0])
 
 
 def retarder(retardance: float, angle: float) -> np.ndarray:
-    """(4, 4) linear retarder with its fast axis at `angle` (radians): E. Collett, Field Guide to Polarization, 2005."""
+    """Return a linear retarder (4, 4), fast axis at `angle`, radians: E. Collett, Field Guide to Polarization, 2005."""
     c, s, cd, sd = np.cos(2 * angle), np.sin(2 * angle), np.cos(retardance), np.sin(retardance)
     return np.array(
         [
@@ -43,7 +43,7 @@ def retarder(retardance: float, angle: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Arm:
-    """Describe one side of the instrument.
+    """One side of the instrument.
 
     A linear polariser, and before the object a retarder that turns (None: the polariser itself turns). retardance,
     polariser_angle, offset (of the turning part): radians.
@@ -54,13 +54,13 @@ class Arm:
     offset: float = 0.0
 
     def generated(self, angle: float) -> np.ndarray:
-        """(4,) Stokes vector of unit intensity that leaves the generator turned to `angle`."""
+        """Compute the Stokes vector (4,) of unit intensity that leaves the generator turned to `angle`."""
         if self.retardance is None:
             return 2 * polariser(angle + self.offset)[:, 0]
         return retarder(self.retardance, angle + self.offset) @ (2 * polariser(self.polariser_angle)[:, 0])
 
     def analysed(self, angle: float) -> np.ndarray:
-        """(4,) row by which the analyser turned to `angle` weighs the Stokes vector that it meets."""
+        """Compute the row (4,) by which the analyser turned to `angle` weighs an incoming Stokes vector."""
         if self.retardance is None:
             return polariser(angle + self.offset)[0]
         return (polariser(self.polariser_angle) @ retarder(self.retardance, angle + self.offset))[0]
@@ -111,7 +111,7 @@ MATLAB = ("k_1_g", "k_2_g", "k_1_a", "k_2_a")
 
 
 class ArmFile(Closed):
-    """Describe one arm in a file, in degrees.
+    """One arm in a file, in degrees.
 
     The angle in a state's name turns the retarder, or, without one, the polariser. retardance_deg, or its dispersion k1
     / wavelength + k2 / wavelength^3 (radians, nm).
@@ -124,7 +124,7 @@ class ArmFile(Closed):
 
 
 class InstrumentFile(Closed):
-    """calibration.yaml."""
+    """The content of calibration.yaml."""
 
     kind: Literal["polarimeter"] = "polarimeter"
     generator: ArmFile = Field(default_factory=ArmFile)
@@ -298,7 +298,7 @@ def _series(states, angles, generator, analyser, method) -> StateSums:
 
 
 def _pairs(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(states,) bool twice: parallel and crossed states of the generator angles that have both."""
+    """Find parallel and crossed states, (states,) bool each, of the generator angles that have both."""
     apart = np.remainder(angles[:, 1] - angles[:, 0] + 90, 180) - 90
     parallel, crossed = np.abs(apart) <= NEARLY, 90 - np.abs(apart) <= NEARLY
     generators = np.remainder(angles[:, 0], 180)
@@ -307,7 +307,7 @@ def _pairs(angles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _each_generator(generators: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """(states,) weights of the mean over generator angles of the mean over the chosen states of each."""
+    """Compute weights (states,) of the mean over generator angles of the mean over the chosen states of each."""
     generators = np.round(np.remainder(generators, 180), 6)
     angles = np.unique(generators[chosen])
     counts = np.array([(chosen & (generators == angle)).sum() for angle in angles])

@@ -53,12 +53,12 @@ class SeriesOrder:
 
     @property
     def as_stated(self) -> bool:
-        """Whether no other order is better beyond doubt."""
+        """Return whether no other order is better beyond doubt."""
         return self.order == tuple(range(len(self.order)))
 
 
 def series_design(angles_deg: np.ndarray) -> np.ndarray:
-    """Return (states, terms): what turning polarisers, or retarders where the states are many, can do to the light.
+    """Return the changes of light (states, terms) by turning polarisers, or retarders where the states are many.
 
     angles_deg : (states, 1 or 2), of the analyser, or of generator and analyser. Each arm contributes 1 and cosine and
     sine of twice its angle, retarders of four times as well, whatever their calibration is; arms multiply.
@@ -153,7 +153,7 @@ def _exchanged(order: np.ndarray, i: int, j: int) -> np.ndarray:
 
 
 def _changes(rest: np.ndarray, products: np.ndarray, order: np.ndarray) -> np.ndarray:
-    """(states, states): how much the misfit changes when two photographs of an order are exchanged."""
+    """Compute the misfit's change (states, states) when two photographs of an order are exchanged."""
     products = products[np.ix_(order, order)]
     left = rest @ products
     lengths, own, gaps = np.diag(products), np.diag(left), np.diag(rest)
@@ -163,7 +163,7 @@ def _changes(rest: np.ndarray, products: np.ndarray, order: np.ndarray) -> np.nd
 
 @dataclass(frozen=True)
 class SeparationStatistics:
-    """Of one view, over the valid pixels of the object and all channels."""
+    """Statistics of one view, over the valid pixels of the object and all channels."""
 
     valid: float  # share of the object's pixels
     diffuse: float | None  # diffuse, specular: means
@@ -176,7 +176,7 @@ class SeparationStatistics:
 
 
 def statistics_of(view: SeparatedView, shown: np.ndarray | None = None) -> SeparationStatistics:
-    """Statistics of one separated view over the pixels that show the object, (rows, columns) bool; None: over all."""
+    """Compute statistics of a separated view over the pixels that show the object, (rows, columns) bool; None: all."""
     shown = np.ones(view.valid.shape, bool) if shown is None else shown
     share = float(view.valid[shown].mean()) if shown.any() else 0.0
     inside = view.valid & shown
@@ -233,7 +233,7 @@ class Thinned:
         self.values.append(values[:: self.step, :: self.step].copy())
 
     def blocks(self) -> Iterator[np.ndarray]:
-        """(states, values) float64 of the pixels that are valid in all photographs, a few rows at a time."""
+        """Yield (states, values) float64 of the pixels that are valid in all photographs, a few rows at a time."""
         for part in strips(len(self.valid)):
             inside = self.valid[part]
             if inside.any():

@@ -1,4 +1,4 @@
-"""Photographs of a polariser series freed of the noise that the specular part brings into both components.
+"""Free photographs of a polariser series of the noise that the specular part brings into both components.
 
 What tells specular from diffuse light is a difference of photographs, q = sum_p Q_p plane_p (circular: I_off - I_on /
 beta). Its noise is large beside the specular light, and it enters the diffuse part with the opposite sign. Two things
@@ -31,7 +31,7 @@ BAND = 64  # rows that are smoothed at a time
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Hold smoothed planes."""
+    """Smoothed planes."""
 
     planes: np.ndarray  # as `components` takes them
     noise: PhotographNoise | None  # of the photographs, None where it cannot be measured
@@ -51,7 +51,7 @@ def smooth_planes(
     sense: int = 1,
     scales: np.ndarray | None = None,
 ) -> Smoothed:
-    """Planes for `components` with smoothed differences, and what is known of their noise.
+    """Smooth the differences in the planes for `components`, and measure their noise.
 
     Parameters
     ----------
@@ -120,14 +120,14 @@ def _smooth_rows(series: Series, top: int, bottom: int, noise: PhotographNoise, 
 
 
 def _joined(values: np.ndarray) -> np.ndarray:
-    """(rows, columns, d * channels) of (d, rows, columns, channels), contiguous."""
+    """Join (d, rows, columns, channels) to (rows, columns, d * channels), contiguous."""
     return np.ascontiguousarray(values.transpose(1, 2, 0, 3)).reshape(*values.shape[1:3], -1)
 
 
 def smooth_differences(
     q: np.ndarray, variance: np.ndarray, usable: np.ndarray, colour: np.ndarray, *, first: int = 0, height: int = 0
 ) -> np.ndarray:
-    """Values freed of noise by thresholds on the cosine transform of overlapping squares (Yu and Sapiro 2011).
+    """Remove noise by thresholds on the cosine transform of overlapping squares (Yu and Sapiro 2011).
 
     The channels of a square are divided by their standard deviations and rotated so that the first axis has the given
     colour: there the light of all channels is added up with weights 1 / variance; the other axes hold noise, except
@@ -163,14 +163,14 @@ def smooth_differences(
 
 
 def _places(size: int) -> list[int]:
-    """First pixels of the squares along a side; the last square ends with the side."""
+    """List the first pixels of the squares along a side; the last square ends with the side."""
     return sorted({*range(0, size - PATCH + 1, STEP), size - PATCH})
 
 
 COSINES = np.sqrt(2 / PATCH) * np.cos(np.pi * (np.arange(PATCH) + 0.5) * np.arange(PATCH)[:, None] / PATCH)
 COSINES[0] = np.sqrt(1 / PATCH)
 COSINES = COSINES.astype(np.float32)
-"""(PATCH, PATCH) orthonormal cosine transform."""
+"""Orthonormal cosine transform (PATCH, PATCH)."""
 
 
 def _smooth_squares(colour, q, variance, usable):

@@ -1,4 +1,4 @@
-"""From linear light to what a screen shows, for all renderers, and to files: OpenEXR, PNG and moving pictures.
+"""Convert linear light for display, for all renderers, and write files: OpenEXR, PNG and moving pictures.
 
 Every file carries the stamp that the caller gives (scene, stage, key, project version) and is written under another
 name first, then renamed. EXR and PNG bytes depend on the values alone: no date, no host.
@@ -24,7 +24,7 @@ ADAPTED_PERCENTILE, ADAPTED_LEVEL, ADAPTED_BOUNDS = 98, 0.8, (0.5, 8.0)
 
 @dataclass(frozen=True)
 class DisplayImage:
-    """A picture for looking, and what its 8 bits could not show."""
+    """A picture for display, and the losses of its 8 bits."""
 
     pixels: np.ndarray  # (rows, columns, 3) uint8 sRGB
     clipped_high: float  # share of pixels with a channel above 1 before coding
@@ -32,7 +32,7 @@ class DisplayImage:
 
 
 def display_image(xyz: np.ndarray, *, white: np.ndarray | None = None, exposure: float = 1.0) -> DisplayImage:
-    """Return 8-bit sRGB of linear XYZ (rows, columns, 3).
+    """Convert linear XYZ (rows, columns, 3) to 8-bit sRGB.
 
     A perfect white of Y = 1 gets 255 at exposure 1.  white: XYZ (3,) of the scene's white, which Bradford adaptation
     turns into the display's (as the eye adapts to lamp light); None shows the colours as a D65 display measures them.
@@ -43,7 +43,7 @@ def display_image(xyz: np.ndarray, *, white: np.ndarray | None = None, exposure:
 
 
 def encoded(linear: np.ndarray) -> DisplayImage:
-    """Return 8 bits of linear sRGB (rows, columns, 3)."""
+    """Encode linear sRGB (rows, columns, 3) in 8 bits."""
     # half a step of the coding is not clipping: a perfect white is 1 to within rounding
     high = np.count_nonzero((linear > 1.0 + 1e-3).any(axis=2)) / max(1, linear[..., 0].size)
     low = np.count_nonzero((linear < -1e-3).any(axis=2)) / max(1, linear[..., 0].size)
@@ -51,7 +51,7 @@ def encoded(linear: np.ndarray) -> DisplayImage:
 
 
 def three_channels(linear: np.ndarray) -> np.ndarray:
-    """(..., 3): three channels stand for linear sRGB, which is a guess about the camera; any other number for grey."""
+    """Convert to (..., 3): three channels are taken as linear sRGB, a guess about the camera; other numbers as grey."""
     if linear.shape[-1] == 3:
         return linear
     return np.repeat(linear.mean(axis=-1, keepdims=True), 3, axis=-1)
@@ -60,7 +60,7 @@ def three_channels(linear: np.ndarray) -> np.ndarray:
 def developed(
     linear: np.ndarray, coverage: np.ndarray, *, exposure: float = 1.0, soft: bool = False, background: float = 0.0
 ) -> DisplayImage:
-    """Return 8-bit picture over an even background.
+    """Compose an 8-bit picture over an even background.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def exposure_for(parts: list[tuple[np.ndarray, float]]) -> float:
 
 
 def shoulder(linear: np.ndarray, *, start: float = 0.6) -> np.ndarray:
-    """Return linear sRGB (..., 3) with luminances above `start` bent so that they reach 1 only at infinity.
+    """Compress linear sRGB (..., 3) with luminances above `start` so that they reach 1 only at infinity.
 
     y -> start + (1 - start) t / (1 + t), t = (y - start) / (1 - start): value and slope go on at `start`. Channels
     share one factor, which keeps the hue; what then still exceeds 1 in a channel is drawn towards grey of the same
@@ -108,7 +108,7 @@ def shoulder(linear: np.ndarray, *, start: float = 0.6) -> np.ndarray:
 
 
 def adapted_exposure(xyz: np.ndarray, *, seen: np.ndarray, sheet: float, bounded: bool = True) -> float:
-    """Return the exposure at which an eye that has adapted to the light would see a picture.
+    """Compute the exposure at which an eye adapted to the light would see a picture.
 
     Brings the 98th percentile of the luminance to 0.8, within bounds that keep a black object dark and a highlight from
     darkening everything else: half and 8 times the exposure at which a white sheet beside the object is white.
@@ -135,7 +135,7 @@ def adapted_exposure(xyz: np.ndarray, *, seen: np.ndarray, sheet: float, bounded
 
 
 def normals_as_colours(normals: np.ndarray) -> np.ndarray:
-    """(rows, columns, 3) uint16 of unit normals, OpenGL convention: (n + 1) / 2 of x right, y up, z out of the surface.
+    """Encode unit normals as (rows, columns, 3) uint16, OpenGL convention: (n + 1) / 2, x right, y up, z outwards.
 
     A missing normal (zero or not finite) is (0, 0, 0), which no unit normal maps to.
     """
@@ -187,7 +187,7 @@ def _write_exr(path: Path, values: np.ndarray, names: Sequence[str], stamp: Mapp
 
 
 def write_png(path: Path, pixels: np.ndarray, *, stamp: Mapping[str, str], srgb: bool = True) -> None:
-    """Write (rows, columns, 3) uint8 or uint16 as PNG; `srgb` says that the values are sRGB-coded colours."""
+    """Write (rows, columns, 3) uint8 or uint16 as PNG; `srgb` marks sRGB-coded colours."""
     import cv2
 
     if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim != 3 or pixels.shape[2] != 3:
@@ -203,7 +203,7 @@ def write_normals_png(path: Path, normals: np.ndarray, *, stamp: Mapping[str, st
 
 
 def _stamped_png(encoded: np.ndarray, stamp: Mapping[str, str], srgb: bool) -> bytes:
-    """Return a PNG with the stamp as text, and with the note that its colours are sRGB, before the image data."""
+    """Insert the stamp as text, and a mark of sRGB colours, into a PNG before the image data."""
     content = encoded.tobytes()
     end = len(_PNG_SIGNATURE) + 25  # of IHDR, which comes first
     notes = [_chunk(b"sRGB", b"\x00")] if srgb else []  # perceptual intent
@@ -219,7 +219,7 @@ def _chunk(kind: bytes, body: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class VideoWritten:
-    """What became of a sequence."""
+    """Result of writing a sequence."""
 
     path: Path  # the file that was written: MP4, or an animated PNG where MP4 cannot be encoded
     frames: int
@@ -307,7 +307,7 @@ def _h264_stream(container, shape: tuple, frames_per_second: int, quality: int):
 
 
 def _yuv420(pixels: np.ndarray) -> np.ndarray:
-    """Planes Y, U, V of BT.709, limited range, 8 bits, stacked as (1.5 rows, columns): what PyAV takes as yuv420p."""
+    """Convert to planes Y, U, V of BT.709, limited range, 8 bits, stacked (1.5 rows, columns): yuv420p of PyAV."""
     rows, columns = pixels.shape[:2]
     rgb = np.pad(pixels, ((0, rows % 2), (0, columns % 2), (0, 0)), mode="edge").astype(np.float32) / 255
     luma = rgb @ np.array([0.2126, 0.7152, 0.0722], np.float32)

@@ -1,4 +1,4 @@
-"""The photographs of a capture against each other as a contact sheet: what each shows beside what is stated of it."""
+"""Draw the photographs of a capture as a contact sheet, each with its measured and stated properties."""
 
 from collections.abc import Sequence
 
@@ -15,7 +15,7 @@ from nishiki.version import PROJECT_VERSION
 WIDTH = 260  # of a photograph on the sheet, pixels
 STATED, SHOWN, MOVED = PALETTE[:3]
 LAMP_ELSEWHERE_DEG, HALF_AS_STRONG, ROOM_LIGHT, SHIFT_PX = 10.0, np.log(2), 0.1, 1.0
-"""What counts as one mark against a photograph when the odd ones are sorted to the front."""
+"""Deviations that count as one mark against a photograph when the odd ones are sorted to the front."""
 SHIFT_ENLARGED = 10.0  # times that a shift is drawn, at most to the rim of the picture
 KEY = (
     "Arrows point towards the lamp: blue as stated, orange as the photograph shows it. A green "
@@ -29,7 +29,7 @@ UNITS = (
 
 
 def contact_sheet(judgement: Judgement, problems: Sequence[Problem], title: str) -> str:
-    """Draw the page (HTML) of one capture; the photographs that differ most from what is stated come first."""
+    """Draw the page (HTML) of one capture; the photographs that deviate most from the statements come first."""
     marks, directions = _rate(judgement), _shown_directions(judgement)
     order = np.argsort(-marks, kind="stable")
     figures = [_figure(judgement, int(j), directions[j]) for j in order]
@@ -46,7 +46,7 @@ def contact_sheet(judgement: Judgement, problems: Sequence[Problem], title: str)
 
 
 def _shown_directions(judgement: Judgement) -> np.ndarray:
-    """Return directions (lights, 3) that the photographs show; NaN where nothing can be told."""
+    """Return directions (lights, 3) measured in the photographs; NaN where undetermined."""
     found = judgement.arrangement
     if found is not None and found.rearranged:
         return turned(judgement.directions[list(found.order)], found.axes)

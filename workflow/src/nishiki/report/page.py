@@ -1,4 +1,4 @@
-"""The one engine of all pages: what a page is made of, as plain data, and its HTML; the same content, the same bytes.
+"""Render all pages with one engine: their content as plain data, and its HTML; equal content gives equal bytes.
 
 Texts that are given as `str` are escaped. Markup in a text is a `markupsafe.Markup`, whose `format` escapes what is put
 into it.
@@ -17,7 +17,7 @@ from nishiki.report.svg import figure
 
 MOST_PICTURES = 8  # of one kind on a page
 LONGEST_TABLE = 20
-"""Rows from which a table is folded."""
+"""Number of rows from which a table is folded."""
 Cell = str | float | None
 """Content of a table's cell: text as it is, a number to three significant digits, None as a dash."""
 
@@ -73,7 +73,7 @@ class Facts:
 
 @dataclass(frozen=True)
 class Note:
-    """Texts that stand out from the others; listed: as a list; warning: coloured as such."""
+    """Highlighted texts; listed: as a list; warning: coloured as such."""
 
     kind: ClassVar[str] = "note"
     texts: Sequence[str]
@@ -83,7 +83,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading inside a section, with what stands beside it in small letters."""
+    """A heading inside a section; beside it a text in small letters."""
 
     kind: ClassVar[str] = "heading"
     text: str
@@ -92,7 +92,7 @@ class Heading:
 
 @dataclass(frozen=True)
 class Fold:
-    """Blocks that are shown at a click on their title. code : beside the title; mark : said last, in colour."""
+    """Blocks that open at a click on their title. code : beside the title; mark : last text, in colour."""
 
     kind: ClassVar[str] = "fold"
     title: str
@@ -104,7 +104,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class EmbeddedPage:
-    """Another page inside this one, loaded at a click; `address` as seen from where this page is opened."""
+    """Another page inside this one, loaded at a click; `address` relative to this page."""
 
     kind: ClassVar[str] = "frame"
     address: str
@@ -114,19 +114,19 @@ class EmbeddedPage:
 
 @dataclass(frozen=True)
 class Listing:
-    """Lines as they are typed at a terminal."""
+    """Lines to type at a terminal."""
 
     kind: ClassVar[str] = "listing"
     text: str
 
 
 Block = str | Table | Figures | Facts | Note | Heading | Fold | EmbeddedPage | Listing
-"""What stands in a section; a text is a paragraph."""
+"""Content of a section; a text is a paragraph."""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A part of the page under a heading. link : what the list of contents calls it; empty: its heading."""
+    """A part of the page under a heading. link : its name in the table of contents; empty: its heading."""
 
     name: str
     heading: str
@@ -136,7 +136,7 @@ class Section:
 
 @dataclass(frozen=True)
 class Metric:
-    """A figure that matters most, its unit, and what it is."""
+    """One of the most important figures, its unit, and its meaning."""
 
     value: float
     unit: str
@@ -145,7 +145,7 @@ class Metric:
 
 @dataclass(frozen=True)
 class Page:
-    """Hold a whole page."""
+    """A whole page."""
 
     title: str
     subtitle: str
@@ -160,7 +160,7 @@ class Page:
 
 
 def render_page(page: Page) -> str:
-    """HTML of a page: one file that loads nothing from anywhere."""
+    """Render a page as HTML: one file that loads nothing from anywhere."""
     return templates().get_template("page.html.j2").render(page=page)
 
 
@@ -196,7 +196,7 @@ def read_json(artifact: Artifact | None, name: str) -> dict[str, Any] | None:
 
 
 def film(artifact: Artifact, file: str, heading: str, caption: str, largest_mb: float) -> Block:
-    """Return a film of the artifact; a sentence that names it where it is too large or of another kind."""
+    """Return a film of the artifact; a sentence that names it where it is too large or of an unsupported kind."""
     data = artifact.path(file).read_bytes()
     kind = next((mime for ending, mime in FILMS.items() if file.endswith(ending)), None)
     if kind is None or len(data) > largest_mb * 1e6:
@@ -206,7 +206,7 @@ def film(artifact: Artifact, file: str, heading: str, caption: str, largest_mb: 
 
 
 def film_and_notes(render: Artifact, heading: str, largest_mb: float) -> list[Block]:
-    """Return the one film of an artifact, if there is any, and what the stage noted."""
+    """Return the one film of an artifact, if there is any, and the stage's notes."""
     video = render.diagnostics.get("video") or {}
     caption = f"{figure(video.get('frames'))} frames."
     films = [film(render, video["file"], heading, caption, largest_mb)] if video else []
@@ -214,12 +214,12 @@ def film_and_notes(render: Artifact, heading: str, largest_mb: float) -> list[Bl
 
 
 STATES = {"finished": "finished", "unfinished": "not finished", "failed": "failed", "refused": "cannot be planned"}
-"""State of a scene, and what the page calls it."""
+"""States of a scene, and their names on the page."""
 
 
 @dataclass(frozen=True)
 class SceneCard:
-    """What the page shows of a scene."""
+    """Data of a scene on the page."""
 
     scene: str  # its name in the scene table
     state: str  # one of STATES
@@ -233,7 +233,7 @@ class SceneCard:
 
 
 def campaign_page(title: str, cards: Sequence[SceneCard], version: str) -> str:
-    """Return HTML of the page. Scenes that need attention come first, then the others in the order given."""
+    """Render the page as HTML. Scenes that need attention come first, then the others in the order given."""
     order = {"failed": 0, "refused": 0, "unfinished": 1, "finished": 2}
     cards = sorted(cards, key=lambda card: order[card.state])
     counts = {state: sum(card.state == state for card in cards) for state in STATES}
@@ -250,7 +250,7 @@ def campaign_page(title: str, cards: Sequence[SceneCard], version: str) -> str:
 
 
 def _plain(card: SceneCard) -> dict[str, Any]:
-    """Return a card as the page's script reads it. A figure's meaning is cut at its first comma or semicolon."""
+    """Return a card for the page's script. A figure's meaning is cut at its first comma or semicolon."""
     figures = [
         {
             "value": tile.value,

@@ -1,4 +1,4 @@
-"""Pictures inside a page: maps and photographs reduced, coloured by perceptually even scales, and encoded."""
+"""Encode pictures for a page: maps and photographs reduced, coloured by perceptually even scales."""
 
 import base64
 from dataclasses import dataclass
@@ -18,22 +18,22 @@ MISSING = np.array([226, 226, 222], np.uint8)
 
 
 def heat() -> np.ndarray:
-    """Return (256, 3) uint8, dark to light: for errors, where light means much."""
+    """Return (256, 3) uint8, dark to light: for errors, light meaning large."""
     return _table(_HEAT)
 
 
 def sea() -> np.ndarray:
-    """Return (256, 3) uint8, dark to light: for counts and measures that are no errors."""
+    """Return (256, 3) uint8, dark to light: for counts and measures other than errors."""
     return _table(_SEA)
 
 
 def balance() -> np.ndarray:
-    """Return (256, 3) uint8, blue over a light grey to red: for signed errors, where the middle is none."""
+    """Return (256, 3) uint8, blue over a light grey to red: for signed errors, the middle meaning none."""
     return _table(_BALANCE, even=False)
 
 
 def coloured(values: np.ndarray, table: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Return (rows, columns, 3) uint8 of values (rows, columns); below low and above high the ends; NaN: `MISSING`."""
+    """Colour values (rows, columns) as (rows, columns, 3) uint8; below low and above high the ends; NaN: `MISSING`."""
     span = high - low if high > low else 1.0
     known = np.isfinite(values)
     places = np.clip((np.where(known, values, low) - low) / span * 255.0 + 0.5, 0, 255).astype(np.uint8)
@@ -48,7 +48,7 @@ def hexadecimal(colour: np.ndarray) -> str:
 
 
 def _table(points: np.ndarray, *, even: bool = True) -> np.ndarray:
-    """Return sRGB codes (256, 3) of a line through CIELAB colours (n, 3); even: in lightness."""
+    """Compute sRGB codes (256, 3) of a line through CIELAB colours (n, 3); even: in lightness."""
     import cv2
 
     t = np.linspace(0, 1, 256)
@@ -70,7 +70,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class PagePicture:
-    """Hold a picture inside the page.
+    """A picture inside the page.
 
     `source` is a data URI; columns, rows its size; scale its colour bar, or None; key: (colour, meaning) of a map of
     classes; marks: (x, y, text), numbered places in pixels of the picture.
@@ -109,12 +109,12 @@ def ruler(columns: int, pitch_mm: float | None) -> Ruler | None:
 
 
 def block_of(columns: int, widest: int) -> int:
-    """Return side of the square blocks whose means make a picture at most `widest` pixels wide."""
+    """Compute the side of the square blocks whose means make a picture at most `widest` pixels wide."""
     return max(1, -(-columns // widest))
 
 
 def colour_picture(linear: np.ndarray, *, inside: np.ndarray | None = None) -> PagePicture:
-    """Picture of linear sRGB (rows, columns, 3), white at 1; NaN and pixels outside in the colour of missing values."""
+    """Encode linear sRGB (rows, columns, 3), white at 1; NaN and pixels outside in the colour of missing values."""
     codes = np.round(255 * srgb_encode(linear)).astype(np.uint8)
     codes[~np.isfinite(linear).all(axis=-1)] = MISSING
     if inside is not None:
@@ -123,7 +123,7 @@ def colour_picture(linear: np.ndarray, *, inside: np.ndarray | None = None) -> P
 
 
 def brightening(linear: np.ndarray) -> float:
-    """Factor, 1 or a round number, that brings the light parts of a dark picture (..., 3) to a good display level.
+    """Compute the factor, 1 or a round number, that brings the light parts of a dark picture (..., 3) to a good level.
 
     1 where the 99.5th percentile of green is at least 0.5. A picture so shown must say so.
     """
@@ -138,12 +138,12 @@ def brightening(linear: np.ndarray) -> float:
 
 
 def brightened(factor: float) -> str:
-    """Return what a caption says of it."""
+    """Describe the brightening for a caption."""
     return "" if factor == 1 else f" Shown {factor:g} times brighter than it is."
 
 
 def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None, high=None, digits=2) -> PagePicture:
-    """Picture of one quantity; ends of the scale: given, else the 1st and 99th percentile of the known values."""
+    """Encode one quantity; ends of the scale: given, else the 1st and 99th percentile of the known values."""
     known = values[np.isfinite(values)]
     low = float(np.percentile(known, 1)) if low is None and known.size else float(low or 0.0)
     high = float(np.percentile(known, 99)) if high is None and known.size else float(high or 1.0)
@@ -155,7 +155,7 @@ def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None
 
 
 def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> PagePicture:
-    """Picture of classes (rows, columns); key: class -> (#rrggbb, meaning); other values in the colour of missing."""
+    """Encode classes (rows, columns); key: class -> (#rrggbb, meaning); other values in the colour of missing."""
     codes = np.empty((*classes.shape, 3), np.uint8)
     codes[...] = MISSING
     for value, (colour, _) in key.items():
@@ -173,7 +173,7 @@ def normal_picture(normals: np.ndarray) -> PagePicture:
 
 
 def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
-    """Return relief (rows, columns) as grey under a lamp from the upper left at 35 degrees, linear 0..1; NaN stays NaN.
+    """Shade the relief (rows, columns) under a lamp from the upper left at 35 degrees, linear 0..1; NaN stays NaN.
 
     step : distance of the pixels in the unit of the height. Slopes are scaled so that their 95th percentile is 0.7: a
     relief is to be seen, not measured, here.
@@ -191,7 +191,7 @@ def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
 
 
 def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> PagePicture:
-    """Return a picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
+    """Encode a picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
     mime = "image/png" if lossless else "image/jpeg"
     data = base64.b64encode(_compressed(codes, lossless=lossless)).decode("ascii")
     source = f"data:{mime};base64,{data}"
@@ -199,7 +199,7 @@ def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = 
 
 
 def _compressed(codes: np.ndarray, *, lossless: bool = False) -> bytes:
-    """Return bytes of a JPEG of quality 90, or a PNG."""
+    """Encode a JPEG of quality 90, or a PNG."""
     import cv2
 
     kind, options = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 90, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
@@ -212,12 +212,12 @@ def _compressed(codes: np.ndarray, *, lossless: bool = False) -> bytes:
 
 
 def file_picture(data: bytes, widest: int) -> PagePicture:
-    """Reduce a PNG to at most `widest` pixels across, averaged in linear light. Raises ValueError if it is none."""
+    """Reduce a PNG to at most `widest` pixels across, averaged in linear light. Raises ValueError for other files."""
     return encoded(_shrunk(data, widest))
 
 
 def bright_picture(data: bytes, widest: int) -> tuple[PagePicture, str]:
-    """Reduce a PNG as `file_picture` does, brightened if it is dark; also return what its caption says of that."""
+    """Reduce a PNG as `file_picture` does, brightened if it is dark; also return a caption on that."""
     linear = decode(_shrunk(data, widest) / np.float32(255), "srgb")
     factor = brightening(linear)
     return colour_picture(linear * factor), brightened(factor).strip()
@@ -229,7 +229,7 @@ def file_jpeg(data: bytes, widest: int) -> bytes:
 
 
 def _shrunk(data: bytes, widest: int) -> np.ndarray:
-    """Decode a PNG as (rows, columns, 3) uint8 sRGB, at most `widest` columns. Raises ValueError if it is none."""
+    """Decode a PNG as (rows, columns, 3) uint8 sRGB, at most `widest` columns. Raises ValueError for other files."""
     import cv2
 
     codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)

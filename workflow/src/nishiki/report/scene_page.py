@@ -1,4 +1,4 @@
-"""The page of a scene: the sections of its stages, then what was left out, conditions, how it was made and verified."""
+"""Write the page of a scene: the sections of its stages, then omissions, conditions, provenance and verification."""
 
 import dataclasses
 from collections.abc import Mapping, Sequence
@@ -29,13 +29,13 @@ from nishiki.report.pictures import file_jpeg
 from nishiki.report.svg import figure, plain
 
 PLANNED = ("hold_out", "positions_mm", "without", "truth_sha256", "training_sha256", "left_out")
-"""Settings that the plan fills in; a user does not write them."""
+"""Settings filled in by the plan; a user does not write them."""
 LONGEST_TEXT = 160  # characters of a line
 THUMBNAIL, THUMBNAIL_COLUMNS = "thumbnail.jpg", 320
 
 
 class Head(NamedTuple):
-    """The head of a page: title of the capture, what the scene is, and more as of `Page`."""
+    """The head of a page: title of the capture, kind of scene, and more as of `Page`."""
 
     title: str | None
     about: str
@@ -50,7 +50,7 @@ SLIGHT = 0.05
 
 
 def headline(good: list[str], doubtful: list[str], advice: list[tuple[bool, str, str]]) -> list[tuple[str, str]]:
-    """Return label and text of each line; a line without anything to say is left out.
+    """Return label and text of each line, without empty lines.
 
     advice : whether a lack holds, the lack, and its remedy; the first that holds is what would improve most.
     """
@@ -69,7 +69,7 @@ def write_scene_page(
     more_left_out: Sequence[Block] = (),
     more_made: Sequence[Block] = (),
 ) -> dict[str, Any]:
-    """Write `report.html`; what the stage reports of it.
+    """Write `report.html`; return the stage's diagnostics.
 
     stages : declarations in the order of the flow; sections : of the stages, None where one has nothing to show;
     more_left_out, more_made : blocks of this kind of scene.
@@ -152,7 +152,7 @@ def closing_sections(
 
 
 def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mapping[str, Any]]) -> list[Block]:
-    """Return what the plan left out, what ingest read of the capture, what stages decided by a measurement.
+    """Return omissions of the plan, files of the capture read by ingest, and measured decisions of stages.
 
     diagnostics : of every stage by its name: `read` of ingest says what was read, `economy` of any stage what it
     decided (see `nishiki.model_selection.decision`).
@@ -232,7 +232,7 @@ def record(manifest: Mapping[str, Any], stage: Any) -> Fold:
 
 
 def settings_rows(values: Mapping[str, Any], model: type[Closed]) -> tuple[list[tuple[Cell, ...]], set[int]]:
-    """Name, value, default and meaning of each setting in the order of the model; numbers of the changed ones."""
+    """List name, value, default and meaning of each setting in the order of the model; numbers of the changed ones."""
     defaults = model().model_dump(mode="json")
     rows: list[tuple[Cell, ...]] = []
     changed = set()

@@ -1,4 +1,4 @@
-"""Numbers as a reader expects them, and drawings as SVG text: curves, light directions, bars.
+"""Format numbers for readers, and draw SVG text: curves, light directions, bars.
 
 Numbers have digits in groups of three, a true minus, and powers of ten in place of an e. Drawings have plain shapes
 only, no script, no outside reference.
@@ -13,12 +13,12 @@ import numpy as np
 
 NARROW_SPACE = "\u202f"
 PLAIN = (1e-4, 1e7)
-"""Magnitudes that are written out; beyond them a power of ten is easier to read."""
+"""Range of magnitudes written out; beyond it a power of ten is easier to read."""
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def plain(value: float, digits: int = 4, *, padded: bool = False) -> str:
-    """Return a finite number with `digits` significant digits.
+    """Format a finite number with `digits` significant digits.
 
     padded: keep zeros at the end, which say how exact a measured value is. Whole numbers below 1e7 keep all digits.
     """
@@ -41,7 +41,7 @@ def plain(value: float, digits: int = 4, *, padded: bool = False) -> str:
 
 
 def figure(value: float | None, digits: int = 3, unit: str = "") -> str:
-    """Return a measured figure as text: `digits` significant ones, a dash where there is none."""
+    """Format a measured figure: `digits` significant ones, a dash where there is none."""
     if value is None:
         return "–"
     if isinstance(value, int):
@@ -51,7 +51,7 @@ def figure(value: float | None, digits: int = 3, unit: str = "") -> str:
 
 
 def percent(value: float | None) -> str:
-    """Return a share in per cent, to a hundredth."""
+    """Format a share in per cent, to a hundredth."""
     if value is None:
         return "–"
     if 0 < value < 0.01:
@@ -60,7 +60,7 @@ def percent(value: float | None) -> str:
 
 
 def signed(share: float | None) -> str:
-    """Return a share in per cent with its sign, to a tenth."""
+    """Format a share in per cent with its sign, to a tenth."""
     if share is None:
         return "–"
     tenths = round(1000 * share)
@@ -68,7 +68,7 @@ def signed(share: float | None) -> str:
 
 
 def degrees(value: float | None) -> str:
-    """Return an angle to a degree, with a true minus and without a negative zero."""
+    """Format an angle to a degree, with a true minus and without a negative zero."""
     return "–" if value is None else f"{round(value):d}°".replace("-", "−")
 
 
@@ -84,7 +84,7 @@ LEGEND_ROW, LEGEND_LINE = 17, 20
 
 
 class Drawing:
-    """Shapes in pixels, y downwards. The title is read out, not drawn. alone : a file of its own, on white."""
+    """Shapes in pixels, y downwards. The title is read out, not drawn. alone : as a file of its own, on white."""
 
     def __init__(self, width: float, height: float, title: str, *, alone: bool = False):
         space = f'xmlns="http://www.w3.org/2000/svg" font-family="{FONT}" ' if alone else ""
@@ -110,7 +110,7 @@ class Drawing:
         self.parts.append(f'<line x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}" stroke="{colour}"/>')
 
     def circle(self, x, y, radius, *, tip="", **paint) -> None:
-        """Draw a disc or a ring; tip : what a pointer on it is told."""
+        """Draw a disc or a ring; tip : tooltip of a pointer on it."""
         self._shape(f'circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:g}"', tip, **paint)
 
     def path(self, commands, *, tip="", **paint) -> None:
@@ -118,7 +118,7 @@ class Drawing:
         self._shape(f'path d="{commands}"', tip, **paint)
 
     def diamond(self, x, y, half, *, tip="", **paint) -> None:
-        """Draw a square that stands on its corner."""
+        """Draw a square standing on its corner."""
         self.path(f"M{x:.1f} {y - half:.1f}l{half} {half}l-{half} {half}l-{half} -{half}z", tip=tip, **paint)
 
     def bar(self, x, y, width, height, colour) -> None:
@@ -140,7 +140,7 @@ class Drawing:
 
 
 def outline(x: np.ndarray, y: np.ndarray) -> str:
-    """Return path commands of a line through points in pixels; NaN breaks it."""
+    """Return the path commands of a line through points in pixels; NaN breaks it."""
     commands, drawing = [], False
     for a, b in zip(x, y, strict=True):
         known = bool(np.isfinite(a) and np.isfinite(b))
@@ -161,7 +161,7 @@ class Axis:
     logarithmic: bool = False
 
     def __call__(self, values) -> np.ndarray:
-        """Pixels of values; those that a logarithm has none of are NaN."""
+        """Convert values to pixels; those without a logarithm become NaN."""
         values = np.asarray(values, float)
         low, high = self.low, self.high
         if self.logarithmic:
@@ -270,7 +270,7 @@ def chart(
 
 
 def _range(arrays: list[np.ndarray], *, zero: bool = False) -> tuple[float, float]:
-    """Return range of all finite values, with 0 in it where asked; never empty."""
+    """Compute the range of all finite values, with 0 in it where requested; never empty."""
     values = np.concatenate([np.asarray(a, float).ravel() for a in arrays] or [np.zeros(0)])
     values = values[np.isfinite(values)]
     if not values.size:
@@ -282,7 +282,7 @@ def _range(arrays: list[np.ndarray], *, zero: bool = False) -> tuple[float, floa
 
 
 def lights_plot(directions: np.ndarray, names: list[str], kinds: list[str], *, size: int = 340) -> str:
-    """Return light directions (lights, 3) seen from the camera: distance from the middle grows evenly with incidence.
+    """Draw light directions (lights, 3) from the camera: distance from the middle grows evenly with incidence.
 
     The rim is 90 degrees. kinds: sample | check | held out. Names are drawn up to 16 lights.
     """
@@ -314,7 +314,7 @@ def lights_plot(directions: np.ndarray, names: list[str], kinds: list[str], *, s
 
 
 def bars(values: list[float], labels: list[str], *, title: str, unit: str, width: int = 560) -> str:
-    """Return horizontal bars with their values, from 0; `values` >= 0."""
+    """Draw horizontal bars with their values, from 0; `values` >= 0."""
     top, line, left = 4, 20, 20 + 6 * max(map(len, labels), default=0)
     largest = max([*values, 0.0]) or 1.0
     drawing = Drawing(width, top * 2 + line * len(values), title)

@@ -1,4 +1,4 @@
-"""Turn the axes of a rig: turntables and goniometer arms behind GRBL 1.1, and turntables of ComXim.
+"""Drive the axes of a rig: turntables and goniometer arms behind GRBL 1.1, and ComXim turntables.
 
 GRBL counts in its own units, which $100 to $102 tie to motor steps; a description says how many make a
 degree. Positions are machine coordinates, relative to where homing ended: they need no work offset, and none that
@@ -37,7 +37,7 @@ TOO_OLD = r"^Grbl 0\."
 RESET = "\x18"
 """Ctrl-X: restarts the controller at once."""
 STANDS_WITHIN = 0.02
-"""Controller's units by which a position may differ from what was asked: it reports three decimals of whole steps."""
+"""Tolerance of a reached position in the controller's units: it reports three decimals of whole steps."""
 MM_PER_INCH = 25.4  # exact
 
 ERRORS = {
@@ -49,7 +49,7 @@ ERRORS = {
     15: "The target is beyond the axis's travel. Remedy: correct range_deg of the axis, or $130 to $132",
     20: "The controller does not know this command. Remedy: check that it runs GRBL 1.1 and has this axis",
 }
-"""What `error:N` means, of those that a rig can cause, and the remedy."""
+"""Meaning and remedy of each `error:N` that a rig can cause."""
 ALARMS = {
     1: "A limit switch was hit and the position is lost. Remedy: free the axis by hand, find what it hit, run again",
     2: "The target is beyond the soft limits. Remedy: correct range_deg of the axis, or $130 to $132, and run again",
@@ -59,18 +59,18 @@ ALARMS = {
     8: "Homing did not leave the limit switch. Remedy: raise the pull-off $27, check the switch's wiring, run again",
     9: "Homing did not reach a limit switch. Remedy: check the switch and its wiring, $23 (direction), $130 to $132",
 }
-"""What `ALARM:N` means, of those that a rig can cause, and the remedy."""
+"""Meaning and remedy of each `ALARM:N` that a rig can cause."""
 STATES = {
     "Hold": "It is paused. Remedy: release the pause button and run again",
     "Door": "The safety door is open. Remedy: close it and run again",
     "Check": "It only checks commands. Remedy: send $C to end that mode, then run again",
     "Sleep": "It sleeps. Remedy: switch it off and on, then run again",
 }
-"""States of a controller in which nothing moves, and the remedy."""
+"""Controller states without movement, and the remedy of each."""
 
 
 class Grbl:
-    """A controller, which several axes may share.
+    """GRBL controller, which several axes may share.
 
     Parameters
     ----------
@@ -95,11 +95,11 @@ class Grbl:
 
     @property
     def homed(self) -> bool:
-        """Whether the positions of the axes are known."""
+        """Return whether the positions of the axes are known."""
         return bool(self.home_position)
 
     def home(self) -> None:
-        """Drive every axis to its limit switch and keep where that is. Done once after a start or an alarm."""
+        """Move every axis to its limit switch and record its position. Done once after a start or an alarm."""
         if self.homed:
             return
         if self.alarmed:
@@ -110,7 +110,7 @@ class Grbl:
         self.home_position = position
 
     def move(self, letter: str, target: float) -> None:
-        """Turn one axis to a machine coordinate; returns when the controller stands still there."""
+        """Turn one axis to a machine coordinate; return when the controller stands still there."""
         word = f"{letter}{target:.3f}"
         end = time.monotonic() + MOVE_S
         self._command(f"G53 G0 {word}", MOVE_S)
@@ -132,7 +132,7 @@ class Grbl:
         self.line.close()
 
     def _restart(self) -> str:
-        """Restart the controller and return its greeting."""
+        """Reset the controller and return its greeting."""
         self.line.discard()  # after some alarms it restarts by itself, and its greeting is still to be read
         self.line.send(RESET, ending=False)
         greeting = self.line.greeting(GREETING, GREETING_S)
@@ -148,7 +148,7 @@ class Grbl:
         self._asking(text, r"^ok$", timeout_s)
 
     def _asking(self, text: str, expect: str, timeout_s: float, ending: bool = True) -> re.Match[str]:
-        """One exchange; whatever goes wrong in it leaves the positions unknown."""
+        """Send one command and return its answer; any error leaves the positions unknown."""
         try:
             return self.line.ask(text, expect, timeout_s, r"^(error|ALARM):(\d+)", self._explain, ending)
         except DeviceError:
@@ -163,7 +163,7 @@ class Grbl:
         return ERRORS.get(number, f"Remedy: look up error {number} of GRBL 1.1")
 
     def _wait_until_idle(self, end: float) -> tuple[str, dict[str, float]]:
-        """State and position once the controller stands still."""
+        """Wait until the controller stands still; return its state and position."""
         while True:
             state, position = self._status()
             if state == "Idle":
@@ -184,7 +184,7 @@ class Grbl:
         return match[1], dict(zip("XYZABC", map(float, position[1].split(",")), strict=False))
 
     def _failure(self, what: str) -> DeviceError:
-        """Make the error of a controller whose positions are then unknown."""
+        """Make the error of a controller whose positions became unknown."""
         self.home_position = {}
         return DeviceError(f"{self.device} at {self.port}: {what}")
 
@@ -213,14 +213,14 @@ class GrblSettings(Closed):
 
 
 class GrblAxis:
-    """One axis of a GRBL controller, which other axes may share."""
+    """Axis of a GRBL controller, which other axes may share."""
 
     def __init__(self, name: str, controller: Grbl, settings: GrblSettings) -> None:
         self.name, self.controller, self.settings = name, controller, settings
         self.range_deg, self.straight = settings.range_deg, settings.straight
 
     def home(self) -> None:
-        """Home all axes of the controller, unless they are."""
+        """Find the reference of all axes of the controller, unless it is known."""
         self.controller.home()
         if self.settings.axis not in self.controller.home_position:
             axes = ", ".join(self.controller.home_position)
@@ -255,7 +255,7 @@ def not_homed(name: str) -> DeviceError:
 
 
 STEP_DEG = 0.01
-"""Angles are sent with two decimals, and counted as they were sent."""
+"""Resolution of angles, which are sent and counted with two decimals."""
 
 
 class ComXimSettings(Closed):

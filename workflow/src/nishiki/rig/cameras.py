@@ -41,11 +41,11 @@ WIDGETS = {
 }
 """Names of the settings of an exposure, by libgphoto2's drivers."""
 LARGEST_STEP = 2.0
-"""Ratio beyond which the nearest setting of a camera is not what was asked for: one stop."""
+"""Largest accepted ratio of a camera's nearest setting to the requested one: one stop."""
 LOST = {-7, -10, -33, -35, -52, -105, -110}
-"""libgphoto2's errors of cameras that are gone or asleep: input and output, time-outs, USB, not found, busy."""
+"""libgphoto2's errors of disconnected or sleeping cameras: input and output, time-outs, USB, not found, busy."""
 CLAIMED = -53
-"""libgphoto2's error where another program has the camera."""
+"""libgphoto2's error of a camera in use by another program."""
 
 
 class GPhotoSettings(Closed):
@@ -70,7 +70,7 @@ class GPhotoCamera:
                 self._choose(key, value)
 
     def configure(self, exposure: Exposure) -> Exposure:
-        """Set exposure time, aperture and sensitivity to the camera's nearest steps; returns what it took."""
+        """Set exposure time, aperture and sensitivity to the camera's nearest steps; return these."""
         for quantity in WIDGETS:
             value = getattr(exposure, quantity)
             if value is not None:
@@ -81,7 +81,7 @@ class GPhotoCamera:
         return taken
 
     def photograph(self, folder: Path) -> tuple[Path, ...]:
-        """Expose once and download. What lies on the camera's card stays there."""
+        """Take one exposure and download it. Other files on the camera's card stay there."""
         try:
             places = self._expose()
         except self.gphoto.GPhoto2Error as error:
@@ -113,7 +113,7 @@ class GPhotoCamera:
                 pass  # it has gone already
 
     def _expose(self) -> set[tuple[str, str]]:
-        """Release, and wait for all files of the exposure: their folders and names on the camera."""
+        """Release, and wait for all files of the exposure; return their folders and names on the camera."""
         first = self.camera.capture(self.gphoto.GP_CAPTURE_IMAGE)
         places = {(first.folder, first.name)}
         end = time.monotonic() + DELIVERY_S + self.exposure_s
@@ -158,7 +158,7 @@ class GPhotoCamera:
         return next((widget for name in WIDGETS[quantity] if (widget := self._widget(name)) is not None), None)
 
     def _value(self, quantity: str) -> float | None:
-        """Read a quantity that the camera is set to; None where it is not reported."""
+        """Read a setting of the camera; None where it is not reported."""
         widget = self._of_exposure(quantity)
         return None if widget is None else number_of(str(widget.get_value()))
 
@@ -211,7 +211,7 @@ class GPhotoCamera:
 
 
 def cameras() -> list[tuple[str, str]]:
-    """Model and port of every camera on USB that libgphoto2 knows."""
+    """List model and port of every camera on USB that libgphoto2 finds."""
     gphoto: Any = optional("gphoto2")
     return [(str(name), str(port)) for name, port in gphoto.Camera.autodetect()]
 
@@ -225,7 +225,7 @@ def choices(widget: Any) -> list[str]:
 
 
 def setting_names(widget: Any) -> list[str]:
-    """Names of all settings below one."""
+    """List names of all settings below one."""
     children = list(widget.get_children())
     return [name for child in children for name in setting_names(child)] if children else [widget.get_name()]
 
@@ -250,11 +250,11 @@ def number_of(text: str) -> float | None:
 
 
 UNFINISHED = (".tmp", ".part", ".partial", ".crdownload", "~")
-"""Ends of the names of files that are being written."""
+"""Endings of names of incomplete files."""
 
 
 class FolderSettings(Closed):
-    """A camera whose own software puts its photographs into a folder."""
+    """Camera whose own software puts its photographs into a folder."""
 
     kind: Literal["folder"]
     folder: str = Field(description="that folder")
@@ -288,7 +288,7 @@ class WatchedFolder:
         self.known = set(self._sizes())
 
     def configure(self, exposure: Exposure) -> Exposure:
-        """Exposure is set in the camera's own software; nothing is known of it here."""
+        """Raise DeviceError for any setting: the exposure is set in the camera's own software."""
         if exposure != Exposure():
             raise DeviceError(
                 f"{self.name}: the exposure of this camera is set in its software (mode M). Remedy: omit it from the "
@@ -319,10 +319,10 @@ class WatchedFolder:
         return tuple(paths)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no device is open."""
 
     def _wait(self) -> set[str]:
-        """Names of the files of one exposure, once they are complete."""
+        """Return names of the files of one exposure, once they are complete."""
         end = time.monotonic() + self.wait_s
         sizes: dict[str, int] = {}
         since = time.monotonic()
@@ -352,7 +352,7 @@ class WatchedFolder:
             )
 
     def _sizes(self) -> dict[str, int]:
-        """Bytes of every photograph in the folder."""
+        """Return the bytes of every photograph in the folder."""
         try:
             entries = [entry for entry in self.folder.iterdir() if not entry.name.startswith(".")]
         except OSError as error:

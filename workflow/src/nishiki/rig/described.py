@@ -112,7 +112,7 @@ class DescribedPolariser(Line):
 
 
 class _Device:
-    """What home-made devices share: the open line, and exchanges over it."""
+    """Base of home-made devices: the open line, and exchanges over it."""
 
     def __init__(self, name: str, line: Line) -> None:
         self.name = name
@@ -133,7 +133,7 @@ class _Device:
 
 
 class HomeMadeLamps(_Device):
-    """Lamps as described."""
+    """Lamps of a YAML description."""
 
     def __init__(self, name: str, settings: DescribedLamps) -> None:
         super().__init__(name, settings)
@@ -142,7 +142,7 @@ class HomeMadeLamps(_Device):
             self.light(None)
 
     def light(self, lamp: int | None) -> None:
-        """Light one lamp, numbered from 1, or none."""
+        """Switch on one lamp, numbered from 1, or none."""
         if lamp is None:
             self.ask(self.settings.dark)
         else:
@@ -183,7 +183,7 @@ class BracketDome(HomeMadeLamps):
 
 
 class HomeMadeAxis(_Device):
-    """An axis as described."""
+    """Axis of a YAML description."""
 
     def __init__(self, name: str, settings: DescribedAxis) -> None:
         super().__init__(name, settings)
@@ -210,14 +210,14 @@ class HomeMadeAxis(_Device):
 
 
 class HomeMadePolariser(_Device):
-    """A polariser as described."""
+    """Polariser of a YAML description."""
 
     def __init__(self, name: str, settings: DescribedPolariser) -> None:
         super().__init__(name, settings)
         self.settings, self.states = settings, tuple(settings.states)
 
     def set(self, state: str) -> None:
-        """Put the polariser into a state and return when it stands."""
+        """Move the polariser into a state and return when it stands."""
         expect_state(self.name, state, self.states)
         self.ask(self.settings.states[state])
         time.sleep(self.settings.settle_s)

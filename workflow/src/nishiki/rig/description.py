@@ -34,7 +34,7 @@ from nishiki.rig.frames_table import PlannedFrame
 
 
 class PythonDevice(Closed):
-    """A device of one's own in a Python file: a class with the methods of `nishiki.rig.device`."""
+    """Device driven by a class in a Python file, with the methods of `nishiki.rig.device`."""
 
     kind: Literal["python"]
     file: str = Field(description="Python file, relative to the description")
@@ -51,7 +51,7 @@ class DeviceFile(Closed):
 
 
 class PromptSettings(Closed):
-    """A polariser that a person turns."""
+    """Polariser turned by a person."""
 
     kind: Literal["prompt"]
     states: tuple[State, ...] = Field(("off", "on"), min_length=1, description="its states, named as in frames.csv")
@@ -129,7 +129,7 @@ def open_rig(path: Path) -> Rig:
 
 
 def _keep(device: Any, opened: ExitStack) -> Any:
-    """Keep a device open; it is closed where a later one does not open."""
+    """Keep a device open; close it where a later one does not open."""
     opened.callback(device.close)
     return device
 
@@ -188,7 +188,7 @@ def _own_class(settings: PythonDevice, path: Path) -> Any:
 
 
 def read_yaml(path: Path) -> dict:
-    """Keys and values of a YAML file of a rig, in which `off` and `on` are words. UserError where it cannot be read."""
+    """Read keys and values of a rig's YAML file; `off` and `on` are words. UserError where it cannot be read."""
     try:
         return read_mapping(path, UnquotedStatesLoader)
     except CaptureError as error:
@@ -207,7 +207,7 @@ DRIVERS = {
     (0x2341, 0x0043): "Arduino Uno: often GRBL or a dome",
     (0x2341, 0x0001): "Arduino Uno: often GRBL or a dome",
 }
-"""What is often behind a USB adapter, by vendor and product."""
+"""Usual devices behind a USB adapter, by vendor and product."""
 
 
 def serial_ports() -> tuple[list[str], list[str]]:
@@ -238,14 +238,14 @@ def camera_ports() -> list[str]:
 
 
 class OpenedRig:
-    """The devices that some frames need.
+    """Open devices that some frames need.
 
     Parameters
     ----------
     description : Path
-        Of the rig.
+        Description of the rig.
     frames : tuple of PlannedFrame
-        What is to be taken.
+        Photographs to take.
     open_devices : callable
         Opens the devices of a description.
     """
@@ -258,7 +258,7 @@ class OpenedRig:
         self._exposure: tuple[Exposure, Exposure] | None = None  # as asked for, as the camera set it
 
     def opened(self) -> Rig:
-        """Open the devices and home them. UserError where the rig lacks a device that a frame needs; DeviceError."""
+        """Open the devices and home them. UserError where a frame requires a device missing in the rig; DeviceError."""
         if self._rig is None:
             rig = self._open_devices(self._description)
             with closed_on_failure(rig):
@@ -275,7 +275,7 @@ class OpenedRig:
             self._rig = None
 
     def set_up(self, frame: PlannedFrame, seconds: float | None) -> float | None:
-        """Turn, light and set everything as a frame wants it; the seconds of exposure that the camera has set."""
+        """Turn, light and set everything for a frame; return the exposure in seconds that the camera has set."""
         rig = self.opened()
         for name, state in frame.polarisers:
             rig.polarisers[name].set(state)
@@ -292,7 +292,7 @@ class OpenedRig:
 
 
 def expect_devices(frames: tuple[PlannedFrame, ...], rig: Rig | RigDescription) -> None:
-    """UserError where frames need lamps, axes, angles or polarisers that a rig does not have."""
+    """Raise UserError where frames need lamps, axes, angles or polarisers that a rig lacks."""
     wanted = {frame.lamp for frame in frames if frame.lamp is not None}
     count = getattr(rig.lamps, "count", math.inf) if rig.lamps is not None else 0
     if wanted and max(wanted) > count:

@@ -27,14 +27,14 @@ Pause = Annotated[float, Field(ge=0, le=60)]
 
 
 class DeviceError(UserError):
-    """A device did not do what it was asked.
+    """A device did not execute a command.
 
     The message names the device, what was sent, what came back, and what to do. Repeating the step does not help.
     """
 
 
 class DeviceLost(DeviceError):
-    """A device does not answer any more: a cable, sleep, or a reset in the middle of a step.
+    """A device stopped answering: a cable, sleep, or a reset in the middle of a step.
 
     Close the rig, open it again, home its axes and repeat the step: nothing is known of its positions.
     """
@@ -44,12 +44,12 @@ class Closable(Protocol):
     """A device, or the line to one."""
 
     def close(self) -> None:
-        """Let it go; a second call does nothing."""
+        """Release the device; a second call does nothing."""
 
 
 @contextmanager
 def closed_on_failure(opened: Closable) -> Iterator[None]:
-    """Close what was just opened where its first commands fail, so that it can be opened again."""
+    """Close a device whose first commands fail after opening, so that it can be opened again."""
     try:
         yield
     except BaseException:
@@ -70,13 +70,13 @@ class Camera(Protocol):
     """A camera that is released by this computer, or whose photographs arrive in a folder."""
 
     def configure(self, exposure: Exposure) -> Exposure:
-        """Set the exposure. Returns what the camera took, its nearest steps; None for what it does not tell.
+        """Set the exposure. Return the camera's nearest steps; None for values that it does not report.
 
         Raises DeviceError where a setting that was asked for cannot be set, or lies outside the camera's range.
         """
 
     def photograph(self, folder: Path) -> tuple[Path, ...]:
-        """Expose once and download into `folder`, which exists.
+        """Take one exposure and download into `folder`, which exists.
 
         Returns the complete files of this exposure under the camera's own names: one, or raw and JPEG, sorted by name.
         """
@@ -86,12 +86,12 @@ class Camera(Protocol):
 
 
 class Lamps(Protocol):
-    """Lamps of which at most one shines."""
+    """Lamps of which at most one is on."""
 
     count: int  # number of lamps
 
     def light(self, lamp: int | None) -> None:
-        """Light this lamp alone, numbered from 1; None: all off. Returns when the light is steady."""
+        """Switch on this lamp alone, numbered from 1; None: all off. Return when the light is steady."""
 
     def close(self) -> None:
         """Switch all lamps off where the line still works, and release the device; a second call does nothing."""
@@ -124,7 +124,7 @@ class Polariser(Protocol):
     states: tuple[str, ...]  # its states, named as in the column `polariser` of frames.csv: `off`, `on`, `45`, `0/90`
 
     def set(self, state: str) -> None:
-        """Put it into one of its states.
+        """Move the polariser into one of its states.
 
         Returns when it stands. Raises DeviceError where the device has no such state.
         """
@@ -135,7 +135,7 @@ class Polariser(Protocol):
 
 @dataclass(frozen=True)
 class Rig:
-    """The devices of a rig, open."""
+    """Open devices of a rig."""
 
     camera: Camera
     lamps: Lamps | None = None  # None where the lamps are not switched by this computer
@@ -144,7 +144,7 @@ class Rig:
     polarisers: dict[str, Polariser] = field(default_factory=dict)  # by their names in the rig's description
 
     def home(self) -> None:
-        """Home every axis, in the order of the description."""
+        """Find the reference of every axis, in the order of the description."""
         for axis in self.axes.values():
             axis.home()
 
@@ -180,7 +180,7 @@ def ask_operator(device: str, request: str) -> None:
 
 
 class PromptedPolariser:
-    """A polariser that a person turns.
+    """Polariser turned by a person.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ class PromptedPolariser:
         self.state: str | None = None
 
     def set(self, state: str) -> None:
-        """Ask for a state, unless it was the last that was asked for."""
+        """Request a state from the operator, unless it was the last one requested."""
         expect_state(self.name, state, self.states)
         if state != self.state:
             self.state = None
@@ -203,7 +203,7 @@ class PromptedPolariser:
             self.state = state
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no device is open."""
 
 
 def expect_state(name: str, state: str, states: tuple[str, ...]) -> None:
@@ -216,7 +216,7 @@ def expect_state(name: str, state: str, states: tuple[str, ...]) -> None:
 
 
 LONGEST_LINE = 4096
-"""Bytes without an end of line beyond which what arrives is noise: no device here sends so long a line."""
+"""Bytes without an end of line above which input is noise: no device here sends so long a line."""
 WRITE_S = 2.0
 """Seconds that a port may take to accept a line."""
 POLL_S = 0.05
@@ -232,11 +232,11 @@ DELIVERY_S = 60.0
 QUIET_S = 0.3
 """Seconds without a byte after which a greeting is complete, and without an event after which an exposure is."""
 SHOWN = 300
-"""Characters of what was received that a message repeats."""
+"""Longest excerpt of received text in a message, in characters."""
 
 
 class SerialLine:
-    """An open serial port that sends and receives lines.
+    """Open serial port that sends and receives lines.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ class SerialLine:
     baud : int
         Bits per second.
     ending : str
-        What ends a line that the device sends, and is added to each line that is sent.
+        End of each line from the device, appended to each line sent to it.
     restart : str
         Regular expression of a line that the device sends when it starts; empty: it sends none. Where one comes after
         the greeting, the device has restarted and DeviceLost is raised.
@@ -301,7 +301,7 @@ class SerialLine:
         return ""
 
     def discard(self) -> None:
-        """Throw away what arrives, until nothing has arrived for QUIET_S (at most for ten times as long)."""
+        """Discard input until none has arrived for QUIET_S (at most for ten times as long)."""
         start = last = time.monotonic()
         self.buffer = b""
         while time.monotonic() < min(last + QUIET_S, start + 10 * QUIET_S):
@@ -310,7 +310,7 @@ class SerialLine:
             self.buffer = b""
 
     def send(self, text: str, ending: bool = True) -> None:
-        """Send a line. What arrived before it is thrown away, after a look whether the device has restarted meanwhile.
+        """Send a line. Earlier input is checked for a restart of the device, then discarded.
 
         Raises DeviceLost where the port has gone or accepts nothing.
         """
@@ -343,7 +343,7 @@ class SerialLine:
         explain: Callable[[re.Match[str]], str] | None = None,
         ending: bool = True,
     ) -> re.Match[str]:
-        """Send a line and wait for the answer that is expected; other lines before it count as noise.
+        """Send a line and wait for the expected answer; other lines before it count as noise.
 
         Parameters
         ----------
@@ -354,7 +354,7 @@ class SerialLine:
         timeout_s : float
             Seconds to wait for the answer.
         explain : callable, optional
-            What a refusal means, and the remedy, as whole sentences.
+            Function that returns the meaning of a refusal and the remedy, as whole sentences.
         ending : bool
             Whether the line ends as lines do; False for single characters that a device obeys at once.
 
@@ -371,7 +371,7 @@ class SerialLine:
     def answer(
         self, expect: str, timeout_s: float, refused: str = "", explain: Callable[[re.Match[str]], str] | None = None
     ) -> re.Match[str]:
-        """Wait for an answer to the line that was sent last; parameters and errors as of `ask`."""
+        """Wait for an answer to the line sent last; parameters and errors as of `ask`."""
         lines: list[str] = []
         end = time.monotonic() + timeout_s
         while (line := self._next_line(end)) is not None:
@@ -387,7 +387,7 @@ class SerialLine:
         raise self._lost(self._instead(lines, expect, timeout_s))
 
     def _instead(self, lines: list[str], expect: str, timeout_s: float) -> str:
-        """Describe the lines that came in place of the answer."""
+        """Describe the lines received in place of the answer."""
         partial = self._text(self.buffer)
         parts = [repr(line) for line in lines] + ([f"{partial!r} without an end of line"] if partial else [])
         received = ", ".join(parts) or "nothing"
@@ -413,7 +413,7 @@ class SerialLine:
                 time.sleep(0.005)
 
     def _read(self) -> bool:
-        """Take what has arrived into the buffer. Returns whether something had."""
+        """Append received bytes to the buffer. Return whether there were any."""
         try:
             data = self.serial.read(LONGEST_LINE)
         except (OSError, TypeError) as error:  # TypeError: pyserial, of a port that was closed meanwhile
@@ -439,7 +439,7 @@ class SerialLine:
 
 
 def _not_opened(device: str, port: str, error: Exception) -> DeviceError:
-    """Why a port does not open, and what to do."""
+    """Make the error of a port that does not open, with its remedy."""
     reason = errno.errorcode.get(getattr(error, "errno", None) or 0, "")
     if reason in ("EACCES", "EPERM"):
         remedy = "allow it with 'sudo usermod -aG dialout $USER' and log in again"

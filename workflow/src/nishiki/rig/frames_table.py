@@ -24,12 +24,12 @@ from nishiki.formats.files import name_fault
 from nishiki.goniometry.directions import between, unit
 
 AUTOMATIC = {"object": "auto:object", "white": "auto:white"}
-"""What stands in place of an exposure that is found when the frames are taken, by what is before the camera."""
+"""Placeholders of an exposure measured when the frames are taken, by the subject before the camera."""
 COLUMNS = ("file", "role", "lamp", "light", "view", "polariser", *ANGLES, "exposure_s", "aperture", "iso")
 AXIS, POLARISER = "axis:", "polariser:"
-"""Beginnings of the columns that a rig's axes and polarisers have by their names."""
+"""Prefixes of the columns named after a rig's axes and polarisers."""
 FIELDS = "fields"
-"""Folder of the fields of a mosaic; the files of one are in a folder of its name there."""
+"""Folder of the fields of a mosaic; each field has a folder of its name there."""
 ESTIMATES = ("seconds", "bytes")
 PLAN_LINE = "# plan: "
 ALL_ROLES = tuple(dict.fromkeys(ROLES + TURNTABLE_ROLES))
@@ -37,7 +37,7 @@ ALL_ROLES = tuple(dict.fromkeys(ROLES + TURNTABLE_ROLES))
 
 @dataclass(frozen=True)
 class PlannedFrame:
-    """A photograph that a rig takes."""
+    """Photograph that a rig takes."""
 
     file: str  # name in the capture
     role: str  # role, light, view, polariser, angles_deg: as in frames.csv
@@ -57,7 +57,7 @@ class PlannedFrame:
 
     @property
     def group(self) -> str:
-        """What stands before the camera: object, white, board or dark."""
+        """Subject before the camera: object, white, board or dark."""
         return self.role if self.role in ("white", "board", "dark") else "object"
 
 
@@ -165,7 +165,7 @@ def _planned(row: dict[str, str], where: str) -> PlannedFrame:
 
 
 def summary(frames: tuple[PlannedFrame, ...], destination: Path) -> str:
-    """Frames of each role, duration, size and free space, in two lines."""
+    """Format frames of each role, duration, size and free space in two lines."""
     roles = Counter(frame.role for frame in frames)
     folder = destination.absolute()
     while not folder.exists():
@@ -181,7 +181,7 @@ def summary(frames: tuple[PlannedFrame, ...], destination: Path) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Hours, minutes and seconds, as far as they matter."""
+    """Format hours, minutes and seconds, without insignificant ones."""
     minutes, rest = divmod(round(seconds), 60)
     if minutes >= 60:
         return f"{minutes // 60} h {minutes % 60} min"
@@ -214,7 +214,7 @@ def expected_fit(views: np.ndarray) -> ShapeFit:
 
 
 def candidate_pairs(separation_deg: float) -> np.ndarray:
-    """(n, 4) degrees: theta_i, phi_i, theta_r, phi_r of oblique pairs of a weave with two mirror planes.
+    """List (n, 4) degrees: theta_i, phi_i, theta_r, phi_r of oblique pairs of a weave with two mirror planes.
 
     The lamp stays in the quarter from weft to warp; the camera goes all round.
     """
@@ -229,7 +229,7 @@ def candidate_pairs(separation_deg: float) -> np.ndarray:
 def recommend_oblique(
     views_deg: np.ndarray, count: int, separation_deg: float
 ) -> list[tuple[float, float, float, float]]:
-    """Pairs (theta_i, phi_i, theta_r, phi_r) in degrees, by lamp, that go with views (n, 2) of normal incidence."""
+    """Choose pairs (theta_i, phi_i, theta_r, phi_r) in degrees, by lamp, to add to views (n, 2) of normal incidence."""
     pairs = candidate_pairs(separation_deg)
     fit = expected_fit(unit(*np.radians(views_deg).T))
     incident, outgoing = unit(*np.radians(pairs[:, :2]).T), unit(*np.radians(pairs[:, 2:]).T)

@@ -1,4 +1,4 @@
-"""The page of a capture run that is under way, for a browser on this computer."""
+"""Serve the page of a capture run in progress to a browser on this computer."""
 
 import contextlib
 import errno
@@ -40,17 +40,17 @@ async function refresh() {{
 setTimeout(refresh, {REFRESH_MS});
 </script>
 """
-"""Puts the new state into the page without moving it; without scripts the browser loads it again."""
+"""Script that updates the page without moving it; without scripts the browser reloads it."""
 
 
 @contextlib.contextmanager
 def serve(state: RunState, title: str, port: int = DEFAULT_PORT) -> Iterator[str]:
-    """Serve the page of a run on this computer only, until the block ends; yields its address.
+    """Serve the page of a run on this computer only, until the block ends; yield its address.
 
     Parameters
     ----------
     state : RunState
-        What is shown.
+        State that the page shows.
     title : str
         Name of the capture.
     port : int
@@ -77,7 +77,7 @@ def serve(state: RunState, title: str, port: int = DEFAULT_PORT) -> Iterator[str
             self.wfile.write(content)
 
         def log_message(self, format: str, *values: object) -> None:
-            """Nothing on the terminal, which tells of the run."""
+            """Suppress messages on the terminal, which shows the run."""
 
     try:
         server = ThreadingHTTPServer((ADDRESS, port), Handler)
@@ -97,7 +97,7 @@ def serve(state: RunState, title: str, port: int = DEFAULT_PORT) -> Iterator[str
 
 
 def page_html(state: RunState, title: str) -> str:
-    """Build the page: one HTML file that loads nothing but itself."""
+    """Build the page: one self-contained HTML file."""
     with state.lock:
         page = _page(state, title)
     noscript = f'<noscript><meta http-equiv="refresh" content="{REFRESH_MS // 1000 + 1}"></noscript>'
@@ -147,7 +147,7 @@ def _last(last: LastPhotograph, state: RunState) -> list[Block]:
 
 
 def _histogram(light: np.ndarray) -> str:
-    """Pixels by light, each channel a curve; the scale of the counts is logarithmic."""
+    """Draw the histogram of light, each channel a curve; the scale of the counts is logarithmic."""
     edges = np.linspace(0, 1, BINS + 1)
     colours = CHANNEL_COLOURS.get(light.shape[2], PALETTE)
     curves = []

@@ -1,4 +1,4 @@
-"""A few lines of YAML that say what a rig photographs, and the table of frames that they expand to."""
+"""Read the plan of a rig's photographs, a few lines of YAML, and expand it to the table of frames."""
 
 import math
 from dataclasses import dataclass, replace
@@ -47,7 +47,7 @@ class PoseBoard(Closed):
 
 
 class Checks(Closed):
-    """What a frame must be like to be kept; null leaves a check out."""
+    """Acceptance criteria of a frame; null disables a check."""
 
     saturated: Share | None = Field(0.05, description="largest share of saturated pixels of the object")
     white_saturated: Share | None = Field(0.002, description="largest share of saturated pixels of the white board")
@@ -60,13 +60,13 @@ class Checks(Closed):
 
 
 class ClothChecks(Checks):
-    """Checks of a cloth, whose gloss differs much between neighbouring directions."""
+    """Acceptance criteria of a cloth, whose gloss differs much between neighbouring directions."""
 
     brightness: Factor | None = Field(10.0, description="as for the other kinds")
 
 
 class AutomaticExposure(Closed):
-    """How `exposure_s: auto` finds an exposure, from the frame that is expected to be the brightest."""
+    """Settings of `exposure_s: auto`, which meters the frame expected to be the brightest."""
 
     start_s: Positive = Field(0.1, description="first exposure that is tried, seconds")
     least_s: Positive = Field(0.0005, description="shortest exposure, seconds")
@@ -75,7 +75,7 @@ class AutomaticExposure(Closed):
 
 
 class Estimate(Closed):
-    """What durations and sizes in the table are reckoned with."""
+    """Assumptions for durations and sizes in the table."""
 
     frame_mb: Positive = Field(30.0, description="size of a photograph, megabytes")
     download_s: Positive = Field(3.0, description="seconds from the end of an exposure until the next may begin")
@@ -84,7 +84,7 @@ class Estimate(Closed):
 
 
 class Plan(Closed):
-    """What the plans of all kinds have in common."""
+    """Settings common to the plans of all kinds."""
 
     kind: str
     suffix: str = Field(description="of the camera's files: nef, cr3, tif, png, jpg")
@@ -139,11 +139,11 @@ class FieldGrid(Closed):
 
     @property
     def sign(self) -> int:
-        """Direction in which the camera's place on the painting goes when an axis goes up."""
+        """Direction in which the camera moves on the painting when an axis coordinate increases."""
         return 1 if self.moves == "camera" else -1
 
     def places(self) -> dict[str, tuple[tuple[str, float], ...]]:
-        """Where the axes stand, by names of fields; every other row backwards."""
+        """Compute positions of the axes by names of fields; every other row backwards."""
         found: dict[str, tuple[tuple[str, float], ...]] = {}
         for row, column in product(range(self.rows), range(self.columns)):
             column = self.columns - 1 - column if row % 2 else column
@@ -180,7 +180,7 @@ class TurntablePlan(Plan):
 
 
 class GoniometerPlan(Plan):
-    """A cloth: the quarter hemisphere at normal incidence, and the oblique pairs that tell most."""
+    """A cloth: the quarter hemisphere at normal incidence, and the most informative oblique pairs."""
 
     kind: Literal["goniometer"]
     theta_step_deg: Annotated[float, Field(gt=0, le=45)] = Field(9.0, description="step of the camera's polar angle")
@@ -216,7 +216,7 @@ GEOMETRIES = {"dome": "plane", "turntable": "turntable", "goniometer": "goniomet
 
 @dataclass(frozen=True)
 class ReadPlan:
-    """A plan, the folder that its file names count from, and its lamps."""
+    """Plan, base folder of its file names, and lamps."""
 
     settings: AnyPlan
     folder: Path
@@ -256,7 +256,7 @@ def read_plan(path: Path) -> ReadPlan:
 
 
 def _exposures(plan: AnyPlan, group: str) -> tuple[float | str | None, ...]:
-    """Exposures of the object or of the white board, as they stand in the table."""
+    """Return exposures of the object or of the white board, as written in the table."""
     if group == "white" and plan.white and plan.white.exposure_s:
         return (plan.white.exposure_s,)
     if plan.exposure_s == "auto":
@@ -338,7 +338,7 @@ def _turntable_frames(plan: TurntablePlan) -> dict[str, list[PlannedFrame]]:
 
 
 def _states_of(plan: TurntablePlan, state: str) -> tuple[tuple[str, str], ...]:
-    """State of each polariser of the rig."""
+    """Return the state of each polariser of the rig."""
     if not state:
         return ()
     parts = state.split("/") if len(plan.polarisers) > 1 else [state]
@@ -380,7 +380,7 @@ def _pair_frame(
 
 
 def _in_order(plan: AnyPlan, groups: dict[str, list[PlannedFrame]]) -> list[PlannedFrame]:
-    """Boards before the object, the object, boards after it."""
+    """Sort frames: boards before the object, the object, boards after it."""
     boards = {"white": plan.white, "board": getattr(plan, "board", None)}
     before = [f for name, settings in boards.items() if settings and settings.when == "before" for f in groups[name]]
     after = [f for name, settings in boards.items() if settings and settings.when == "after" for f in groups[name]]
@@ -388,7 +388,7 @@ def _in_order(plan: AnyPlan, groups: dict[str, list[PlannedFrame]]) -> list[Plan
 
 
 def _darks(plan: AnyPlan, lit: list[PlannedFrame]) -> list[PlannedFrame]:
-    """Dark frames of every exposure that is used."""
+    """List dark frames of every exposure in use."""
     exposures = list(dict.fromkeys(frame.exposure_s for frame in lit))
     count = plan.dark.frames if plan.dark else 0
     names = [f"-{chr(ord('a') + i)}" if len(exposures) > 1 else "" for i in range(len(exposures))]
@@ -418,7 +418,7 @@ def _with_estimates(plan: AnyPlan, frames: list[PlannedFrame]) -> list[PlannedFr
 
 
 def incidence_cosines(plan: ReadPlan, frames: tuple[PlannedFrame, ...]) -> dict[str, float]:
-    """By the file of each lit frame, what its brightness is proportional to on a flat diffuse surface.
+    """Compute each lit frame's relative brightness on a flat diffuse surface, by file.
 
     The cosine of the lamp's angle from the normal, over the squared distance where lamps have positions; 1 where the
     lamp's place is not known.
@@ -438,7 +438,7 @@ def incidence_cosines(plan: ReadPlan, frames: tuple[PlannedFrame, ...]) -> dict[
 
 
 def frame_distance(plan: ReadPlan, a: PlannedFrame, b: PlannedFrame) -> float:
-    """How far two frames of one kind are apart, for the choice of neighbours; infinite where they do not compare."""
+    """Compute the distance of two frames of one kind, for the choice of neighbours; infinite if not comparable."""
     if (a.group, a.polariser) != (b.group, b.polariser):
         return math.inf
     if plan.lights is not None:

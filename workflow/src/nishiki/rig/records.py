@@ -39,7 +39,7 @@ EXPOSURE_TOLERANCE = 0.15  # relative: EXIF rounds to the steps of the camera's 
 
 @dataclass(frozen=True)
 class Measures:
-    """What is measured in a photograph."""
+    """Measurements of a photograph."""
 
     rows: int  # rows, columns, channels: its size
     columns: int
@@ -54,7 +54,7 @@ class Measures:
 
 
 def measure(codes: np.ndarray, camera: CameraResponse, exposure_s: float | None) -> Measures:
-    """Measure codes (rows, columns, channels) of a camera; `exposure_s` is what EXIF tells."""
+    """Measure codes (rows, columns, channels) of a camera; `exposure_s` comes from EXIF."""
     step = max(1, min(codes.shape[:2]) // SIDE_PX)
     codes_measured = codes[::step, ::step]
     light = light_of(codes_measured, camera)
@@ -74,14 +74,14 @@ def measure(codes: np.ndarray, camera: CameraResponse, exposure_s: float | None)
 
 
 def light_of(codes: np.ndarray, camera: CameraResponse) -> np.ndarray:
-    """Linear light above the black level, of full scale; a coding that only the file states is taken to be sRGB."""
+    """Compute light above the black level, of full scale; encoding `file` counts as sRGB for 8 bits, else linear."""
     scale, stated = full_scale(codes.dtype, camera.bits), "srgb" if codes.dtype == np.uint8 else "linear"
     encoding = stated if camera.encoding == "file" else camera.encoding
     return decode(codes / scale, encoding) - decode(np.array(camera.black_level / scale), encoding)
 
 
 def sharpness(codes: np.ndarray) -> float | None:
-    """Variance of the Laplacian in the middle over that at half size; None where nothing is to be seen."""
+    """Compute the variance of the Laplacian in the middle over that at half size; None without detail."""
     import cv2
 
     top, left = (max(0, (size - SIDE_PX) // 2) for size in codes.shape[:2])
@@ -99,12 +99,12 @@ def _size(measures: Measures) -> str:
 
 
 COMPARED = {"dome": 4, "turntable": 2, "goniometer": 2}
-"""Neighbours that a frame is compared with."""
+"""Number of neighbours for comparison with a frame."""
 
 
 @dataclass(frozen=True)
 class KeptFrame:
-    """A frame that is kept: what was measured in it, and its exposure in seconds where that is known."""
+    """Accepted frame: its measurements, and its exposure in seconds where known."""
 
     frame: PlannedFrame
     measures: Measures
@@ -132,7 +132,7 @@ class Neighbours:
     def reasons_against(
         self, frame: PlannedFrame, measures: Measures, exposure_s: float | None, kept: Mapping[str, Mapping[str, Any]]
     ) -> list[str]:
-        """Find why a photograph cannot be kept, by itself and beside those that are (kept: their events)."""
+        """List reasons to reject a photograph, by itself and beside accepted ones (kept: their events)."""
         known = {
             file: KeptFrame(self._by_file[file], Measures(**event["measures"]), event["exposure_s"])
             for file, event in kept.items()
@@ -168,7 +168,7 @@ class Neighbours:
         return reasons
 
     def _expected(self, frame: PlannedFrame, known: dict[str, KeptFrame], exposure_s: float | None) -> float | None:
-        """Compute the level that a frame should have by its neighbours; None without any."""
+        """Predict the level of a frame from its neighbours; None without any."""
         near = [(frame_distance(self._plan, frame, one.frame), file) for file, one in known.items()]
         near = sorted(pair for pair in near if math.isfinite(pair[0]))[: COMPARED[self._plan.settings.kind]]
         boards = {known[file].frame.light: file for file in known if file.startswith("white/")} if frame.light else {}
@@ -190,7 +190,7 @@ class Neighbours:
 
 
 class Journal:
-    """An append-only file of events.
+    """Append-only file of events.
 
     A line that was cut off by a kill or a full disk is left as it is, and not read.
     """
@@ -199,7 +199,7 @@ class Journal:
         self.path = path
 
     def write(self, event: str, **facts: Any) -> dict[str, Any]:
-        """Append an event; it is on the disk when this returns. Returns the line's content."""
+        """Append an event and flush it to the disk. Return the line's content."""
         line = {"time": datetime.now().astimezone().isoformat(timespec="milliseconds"), "event": event, **facts}
         is_new = not self.path.exists()
         with self.path.open("a+b") as file:
@@ -215,7 +215,7 @@ class Journal:
         return line
 
     def events(self) -> Iterator[dict[str, Any]]:
-        """All complete events, in their order."""
+        """Yield all complete events, in their order."""
         if not self.path.exists():
             return
         for line in self.path.read_bytes().split(b"\n"):
@@ -233,7 +233,7 @@ REPEATED = ("rejected", "lost", "missing")
 
 @dataclass(frozen=True)
 class LastPhotograph:
-    """The last photograph, thinned to a size that can be shown. codes: (rows, columns, channels)."""
+    """Last photograph, reduced to the size for display. codes: (rows, columns, channels)."""
 
     frame: PlannedFrame
     codes: np.ndarray
@@ -241,7 +241,7 @@ class LastPhotograph:
 
 
 class RunState:
-    """Follows a run; another thread may read it under `lock`.
+    """State of a run; another thread may read it under `lock`.
 
     Attributes
     ----------
@@ -254,7 +254,7 @@ class RunState:
         How codes become light.
     last : LastPhotograph or None
     doing : str
-        What goes on.
+        Present action.
     """
 
     def __init__(self) -> None:
@@ -275,7 +275,7 @@ class RunState:
             self._began, self._at_first = time.monotonic(), len(kept)
 
     def photographed(self, frame: PlannedFrame, codes: np.ndarray, measures: Measures) -> None:
-        """Record a photograph that was read, before it is accepted or rejected."""
+        """Record a photograph before it is accepted or rejected."""
         step = -(-max(codes.shape[:2]) // SIDE_PX)
         with self.lock:
             self.last = LastPhotograph(frame, codes[::step, ::step].copy(), measures)
@@ -301,7 +301,7 @@ class RunState:
             }.get(kind, self.doing)
 
     def seconds_left(self) -> float:
-        """Seconds that the frames that are missing will take: as the plan reckons, in the proportion seen so far."""
+        """Estimate the seconds for the missing frames: the plan's estimate, scaled by the progress so far."""
         missing = sum(frame.seconds for frame in self.frames if frame.file not in self.kept)
         done = [frame.seconds for frame in self.frames if frame.file in self.kept]
         taken_now = len(self.kept) - self._at_first
@@ -311,12 +311,12 @@ class RunState:
 
 
 def why(event: dict[str, Any]) -> str:
-    """Why a frame is taken again, of one of the events `REPEATED`."""
+    """Return why a frame is taken again, from one of the events `REPEATED`."""
     return "; ".join(event.get("reasons", [])) or event.get("message") or "its file is gone, or changed"
 
 
 def capture_settings(plan: ReadPlan, header: ImageHeader | None = None) -> dict[str, Any]:
-    """Keys of capture.yaml: those of the plan, and what follows from it and from a photograph, once there is one."""
+    """Collect keys of capture.yaml: those of the plan, derived ones, and those of a photograph, if any."""
     settings = plan.settings
     camera = dict(settings.capture.get("camera") or {})
     if header is not None:
@@ -356,7 +356,7 @@ def write_tables(
 
 
 def refuse_unusable_settings(folder: Path) -> None:
-    """UserError with every mistake of the tables in `folder`, which hold frames that are not taken yet."""
+    """Raise UserError with every mistake of the tables in `folder`; its frames are not taken yet."""
     _, problems = examine(folder)
     later = [p for p in problems if p.kind == "image-missing" and p.file.startswith("frames.csv row")]
     errors = [p for p in problems if p.severity == "error" and p not in later]
@@ -383,7 +383,7 @@ def _frames_csv(plan: ReadPlan, frames: tuple[PlannedFrame, ...], exposures: Map
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Every text in a block of settings."""
+    """Yield every text in a block of settings."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping | list | tuple):

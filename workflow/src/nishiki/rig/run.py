@@ -1,4 +1,4 @@
-"""A capture taken by a rig: every frame of a table once, checked, journalled, and sealed at the end.
+"""Take a capture with a rig: every frame of a table once, checked, journalled, and sealed at the end.
 
 Everything lies in NAME.rig/ beside the capture NAME until the last frame is there:
 
@@ -56,13 +56,13 @@ REQUESTS = {
 }
 SUFFIXES = {".jpeg": ".jpg", ".tiff": ".tif"}
 RECONNECTIONS = 5
-"""Times that the devices are opened again for one frame."""
+"""Maximum number of reconnections of the devices for one frame."""
 WAIT_S = 2.0
-"""Seconds before the first reconnection; each further one waits twice as long."""
+"""Seconds before the first reconnection; doubled for each further one."""
 GOOD_PEAK = (0.55, 0.85)
-"""Of full scale: where the automatic exposure puts the brightest pixels but one in a thousand."""
+"""Target range of the automatic exposure for the 99.9 % quantile, relative to full scale."""
 OVERLAP = 0.1
-"""Share of a field that its neighbour must show too: matches of the mosaic need about this much."""
+"""Minimum overlap of neighbouring fields, as a share of a field: matches of the mosaic need about this much."""
 TRIALS = 12  # exposures of an automatic one
 EXISTS = "{}: exists already. Remedy: choose another name; nothing is overwritten"
 SAME_COMMAND = "Nothing is lost: the same command goes on with this frame"
@@ -78,7 +78,7 @@ def run_capture(
     ask: Callable[[str, str], None] = ask_operator,
     pause: Callable[[float], None] = time.sleep,
 ) -> str:
-    """Take the photographs of a plan, or go on where an earlier call stopped, and seal the capture.
+    """Take the photographs of a plan, or continue an earlier call, and seal the capture.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def run_capture(
 
 
 def expect_overlap(plan: ReadPlan, field: Path) -> None:
-    """UserError where neighbours of this field, whose size and scale are known, would overlap by too little."""
+    """Raise UserError where neighbours of this field, whose size and scale are known, would overlap too little."""
     grid, pitch = require(getattr(plan.settings, "fields", None)), plan.settings.capture.get("pixel_pitch_mm")
     header = read_header(next((field / "data" / "frames").iterdir()))
     sizes = (grid.columns, header.columns), (grid.rows, header.rows)
@@ -167,12 +167,12 @@ def describe_run(rig: Path, plan: Path, capture: Path) -> str:
 
 
 def work_folder(capture: Path) -> Path:
-    """Where a capture lies until it is complete."""
+    """Return the folder of a capture until it is complete."""
     return capture.with_name(f"{capture.name}.rig")
 
 
 class CaptureRun:
-    """One capture on its way; see `run_capture`."""
+    """Capture in progress; see `run_capture`."""
 
     def __init__(
         self,
@@ -198,7 +198,7 @@ class CaptureRun:
         self.subject: str | None = "object"
 
     def complete(self, plan_file: Path, *, like: "CaptureRun | None" = None) -> str:
-        """Take what is missing, then check, put in place and seal.
+        """Take missing frames, then check, rename and seal.
 
         like: the field of the same mosaic that was finished before; its boards, darks and exposures serve this one too.
         """
@@ -228,7 +228,7 @@ class CaptureRun:
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[None]:
-        """Keep other runs of this capture away. UserError where one is under way."""
+        """Lock the capture against other runs. UserError where one is in progress."""
         self.work.mkdir(parents=True, exist_ok=True)
         with (self.work / "lock").open("w") as lock:
             try:
@@ -238,7 +238,7 @@ class CaptureRun:
             yield
 
     def _begin(self, plan_file: Path, like: "CaptureRun | None") -> None:
-        """Prepare the folder, or recognise what an earlier run left in it."""
+        """Prepare the folder, or continue from the files of an earlier run."""
         for folder in (self.payload, self.incoming, self.work / "rejected", self.work / "companions"):
             folder.mkdir(exist_ok=True)
         self._keep_table(plan_file)
@@ -262,7 +262,7 @@ class CaptureRun:
         self.observer.started(self.frames, set(self.kept), self.camera)
 
     def _share(self, other: "CaptureRun") -> None:
-        """Take over what was photographed once for all fields, and is not here yet."""
+        """Copy photographs taken once for all fields that are missing here."""
         shared = {frame.file for frame in self.frames if frame.group in ("white", "dark")} - set(self.kept)
         for event in other.journal.events():
             if event["event"] == "frame" and event["file"] in shared:
@@ -291,7 +291,7 @@ class CaptureRun:
         put_file(path, table_text(self.frames, os.path.relpath(named, self.work)))
 
     def _is_kept(self, event: dict[str, Any]) -> bool:
-        """Whether a journalled frame is in the capture, or can be put there, with the digest that it had."""
+        """Check whether a journalled frame is in the capture, or can be put there, with its original digest."""
         target = self.payload / event["file"]
         if target.exists():
             return sha256_of(target) == event["sha256"]
@@ -304,7 +304,7 @@ class CaptureRun:
     # Frames
 
     def _take(self, frame: PlannedFrame) -> None:
-        """Take one frame until it is kept; UserError after the stated number of repetitions."""
+        """Take one frame until it is accepted; UserError after the stated number of repetitions."""
         repeats = self.plan.settings.checks.repeats
         rejections = 0
         while True:
@@ -323,7 +323,7 @@ class CaptureRun:
     def _expose(
         self, frame: PlannedFrame, seconds: Callable[[], float | None]
     ) -> tuple[Path, float | None, Measures | None, list[str]]:
-        """Photograph and measure; devices that do not answer are opened again.
+        """Photograph and measure; reopen devices that do not answer.
 
         Return the file, the seconds of the exposure, the measures, and the reasons for a rejection.
         """
@@ -376,7 +376,7 @@ class CaptureRun:
         return chosen[0]
 
     def _keep(self, frame: PlannedFrame, path: Path, exposure_s: float | None, measures: Measures) -> None:
-        """Journal a photograph with its digest, then rename it into the capture."""
+        """Record a photograph with its digest in the journal, then rename it into the capture."""
         with path.open("rb") as file:
             os.fsync(file.fileno())
         facts = {
@@ -395,7 +395,7 @@ class CaptureRun:
         flush(target.parent)
 
     def _expect_room(self, frame: PlannedFrame) -> None:
-        """UserError before an exposure that the disk has no room for."""
+        """Raise UserError before an exposure that does not fit on the disk."""
         largest = max((event["bytes"] for event in self.kept.values()), default=frame.bytes)
         free = shutil.disk_usage(self.work).free
         if free < 2 * largest:
@@ -407,7 +407,7 @@ class CaptureRun:
     # Exposure
 
     def _exposure_of(self, frame: PlannedFrame) -> float | None:
-        """Seconds of a frame; those of the automatic exposure are found before the first frame that needs them."""
+        """Return the exposure of a frame in seconds; meter an automatic one before the first frame that needs it."""
         if not isinstance(frame.exposure_s, str):
             return frame.exposure_s
         group = next(name for name, cell in AUTOMATIC.items() if cell == frame.exposure_s)
@@ -420,7 +420,7 @@ class CaptureRun:
         return self.exposures[group]
 
     def _meter(self, frame: PlannedFrame) -> float:
-        """Exposure at which a frame, expected to be the brightest of its kind, uses the codes without saturation."""
+        """Find the exposure in seconds at which a frame, expected to be the brightest, uses the codes unsaturated."""
         auto = self.plan.settings.auto
         seconds, tried = auto.start_s, []
         for _ in range(TRIALS):
@@ -443,7 +443,7 @@ class CaptureRun:
         raise UserError(f"{what}. Remedy: change light or aperture, or set exposure_s in the plan")
 
     def _prepare_subject(self, group: str) -> None:
-        """Ask for what has to stand before the camera."""
+        """Request the subject that has to stand before the camera."""
         if group != self.subject:
             self.subject = None
             self._note("request", request=REQUESTS[group])
@@ -454,7 +454,7 @@ class CaptureRun:
     # The end
 
     def _check_and_place(self) -> None:
-        """Write the tables, check the capture as ./nishiki check does, and rename it to its name."""
+        """Write the tables, check the capture as ./nishiki check does, and rename it to its final name."""
         from nishiki.observations.check import check_capture
 
         self.devices.close()
@@ -475,7 +475,7 @@ class CaptureRun:
         flush(self.capture.absolute().parent)
 
     def _seal(self) -> str:
-        """Seal the capture, and compare its manifest with the digests that the frames had when they were taken."""
+        """Seal the capture, and compare its manifest with the digests of the frames at their exposure."""
         digests = {event["file"]: event["sha256"] for event in self.journal.events() if event["event"] == "frame"}
         if not (self.capture / "bagit.txt").is_file():
             seal(self.capture)
@@ -501,7 +501,7 @@ class CaptureRun:
 
 
 def _clear(folder: Path) -> None:
-    """Remove what an exposure that was not finished left."""
+    """Remove files of an unfinished exposure."""
     for path in folder.iterdir():
         if path.is_dir():
             shutil.rmtree(path)

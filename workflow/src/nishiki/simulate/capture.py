@@ -1,4 +1,4 @@
-"""Provide what all simulated captures share: camera settings, the sensor, and the files of a capture."""
+"""Provide the common parts of simulated captures: camera settings, the sensor, and the files of a capture."""
 
 import csv
 import math
@@ -71,12 +71,12 @@ _RGB = (
 
 
 def channel_names(count: int) -> tuple[str, ...]:
-    """red, green, blue for three channels, else band1 (long waves) to bandN (short waves)."""
+    """Return red, green, blue for three channels, else band1 (long waves) to bandN (short waves)."""
     return ("red", "green", "blue") if count == 3 else tuple(f"band{index + 1}" for index in range(count))
 
 
 def sensitivities(wavelengths_nm: np.ndarray, channels: int) -> np.ndarray:
-    """Relative sensitivities (channels, wavelengths), 0..1: invented smooth lobes behind an infrared and UV filter.
+    """Compute relative sensitivities (channels, wavelengths), 0..1: invented smooth lobes behind an IR and UV filter.
 
     Three channels: broad overlapping red, green and blue with small side lobes. More: one bell each, evenly placed
     from 655 to 430 nm.
@@ -95,12 +95,12 @@ def _lobe(w, peak, centre, below, above):
 
 
 def dark_frame(shape: tuple[int, ...], camera: CameraSettings, *, key: int) -> np.ndarray:
-    """Codes (rows, columns, channels) with the lens closed: black level and read noise."""
+    """Simulate codes (rows, columns, channels) with the lens closed: black level and read noise."""
     return expose(np.zeros(shape, np.float32), camera, key=key)
 
 
 def expose(signal: np.ndarray, camera: CameraSettings, *, key: int, first_row: int = 0) -> np.ndarray:
-    """Codes (rows, columns, channels) uint16 of an exposure; 1.0 in `signal` fills the well and the converter.
+    """Simulate codes (rows, columns, channels) uint16 of an exposure; 1.0 in `signal` fills the well and the converter.
 
     Shot noise is taken as normal (the well holds thousands of electrons; below some ten electrons the read noise
     hides the difference). `first_row` is the row of the image at which this band starts, so that bands join exactly.
@@ -136,7 +136,7 @@ class Progress:
 
 
 def write_image(path: Path, codes: np.ndarray) -> None:
-    """PNG of RGB or grey, or TIFF with one page a channel."""
+    """Write a PNG of RGB or grey, or a TIFF with one page a channel."""
     import cv2
 
     path.parent.mkdir(exist_ok=True)
@@ -150,13 +150,13 @@ def write_image(path: Path, codes: np.ndarray) -> None:
 
 
 def write_csv(path: Path, rows) -> None:
-    """Rows of a table, its heading first."""
+    """Write the rows of a table, its heading first."""
     with path.open("w", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows(rows)
 
 
 def write_description(capture: Path, title: str, geometry: str, channels, camera: CameraSettings, **blocks) -> None:
-    """capture.yaml. blocks : what follows the camera; `sensitivities`, if given, belongs to the camera."""
+    """Write capture.yaml. blocks : the blocks after the camera; `sensitivities`, if given, belongs to the camera."""
     import yaml
 
     described = {
@@ -179,7 +179,7 @@ def readme(kind: str, **facts: Any) -> str:
 
 
 class Truth:
-    """truth.zarr, filled shot by shot, and a README that says what is in it."""
+    """truth.zarr, filled shot by shot, and a README of its contents."""
 
     def __init__(self, folder: Path):
         import zarr
@@ -198,6 +198,6 @@ class Truth:
         self.group.create_array(name, shape=values.shape, dtype=values.dtype, chunks=chunks)[...] = values
 
     def finish(self, attributes: dict, readme: str) -> None:
-        """Attributes of the group, and the README."""
+        """Write the attributes of the group, and the README."""
         self.group.attrs.update(attributes)
         (self.folder / "README.md").write_text(readme)

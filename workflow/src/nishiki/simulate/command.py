@@ -43,7 +43,7 @@ KNOWN_BY = {
     "lights-as": ("painting", "turntable"),
     "channels": ("painting",),
 }
-"""Kinds of capture that know the options of a group, and single options that differ from their group; others: all."""
+"""Kinds of capture with the options of a group, and single options that differ from their group; others: all."""
 OPTIONS = {  # name, help, settings of argparse
     "size": (
         (
@@ -132,7 +132,7 @@ OPTIONS = {  # name, help, settings of argparse
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Exit status of the command."""
+    """Run the command, and return its exit status."""
     commands = parser()
     options = commands.parse_args(arguments)
     try:

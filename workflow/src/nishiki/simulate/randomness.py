@@ -16,7 +16,7 @@ _UNIT = 1.0 / 9007199254740992.0  # 2^-53
 
 
 def mix_bits(key, counter):
-    """64 well-mixed bits of (key, counter): the output function of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014).
+    """Mix 64 bits of (key, counter) well: the output function of SplitMix64 (Steele, Lea, Flood, OOPSLA 2014).
 
     Numbers, or arrays of uint64; kernels call it by the name `hash_uint`.
     """
@@ -48,7 +48,7 @@ def normals(key, counter: np.ndarray) -> np.ndarray:
 
 @numba.njit(cache=True)
 def line_noise(key, x):
-    """Smooth noise in [0, 1] on a line: hashed values at the integers, joined by the smoothstep polynomial."""
+    """Compute smooth noise in [0, 1] on a line: hashed values at the integers, joined by the smoothstep polynomial."""
     cell = math.floor(x)
     f = x - cell
     left = uniform(key, np.uint64(np.int64(cell)))
@@ -58,7 +58,7 @@ def line_noise(key, x):
 
 @numba.njit(cache=True)
 def plane_noise(key, x, y):
-    """Smooth noise in [0, 1] on the plane: hashed values at the integer lattice, joined by smoothsteps."""
+    """Compute smooth noise in [0, 1] on the plane: hashed values at the integer lattice, joined by smoothsteps."""
     column, row = math.floor(x), math.floor(y)
     fx, fy = x - column, y - row
     fx = fx * fx * (3.0 - 2.0 * fx)
@@ -84,7 +84,7 @@ def _fractal(start, stop, key, x, y, octaves, out):
 
 
 def fractal_noise(x: np.ndarray, y: np.ndarray, *, key: int, octaves: int = 3) -> np.ndarray:
-    """Sum of octaves of smooth noise, each twice as fine and half as strong.
+    """Sum octaves of smooth noise, each twice as fine and half as strong.
 
     x, y : (rows, columns) positions in units of the coarsest cell. Returns (rows, columns) float32 in [0, 1].
     """
@@ -103,7 +103,7 @@ def subkey(seed: int, purpose: str) -> int:
 
 
 def solid_noise(key, x, y, z) -> np.ndarray:
-    """Smooth noise in [0, 1] in space: hashed values at the integer lattice, joined by the smoothstep polynomial.
+    """Compute smooth noise in [0, 1] in space: hashed values at the integer lattice, joined by smoothsteps.
 
     key : uint64, x, y, z : positions; numbers or arrays that broadcast, x an array.
     """
@@ -119,14 +119,14 @@ def solid_noise(key, x, y, z) -> np.ndarray:
 
 
 def solid_fractal(key, x, y, z, octaves: int) -> np.ndarray:
-    """Mean of octaves of `solid_noise`, each twice as fine and half as strong."""
+    """Average octaves of `solid_noise`, each twice as fine and half as strong."""
     scales = 0.5 ** np.arange(octaves)
     parts = (s * solid_noise(key + np.uint64(n), x / s, y / s, z / s) for n, s in enumerate(scales))
     return sum(parts) / scales.sum()
 
 
 def crack_distance(key, x, y) -> np.ndarray:
-    """Distance from the nearest border between the cells about jittered lattice points (0 on it), in lattice units.
+    """Compute the distance (lattice units) to the nearest border of the cells about jittered lattice points, 0 on it.
 
     Half the difference of the distances to the two nearest points: Worley, A cellular texture basis function,
     SIGGRAPH 1996. x, y : arrays.

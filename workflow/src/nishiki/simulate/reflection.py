@@ -10,7 +10,7 @@ import numpy as np
 
 
 def dielectric_fresnel(cosine, index):
-    """Unpolarised reflectance of a dielectric surface, exact; cosine of incidence 0..1, index of refraction > 1.
+    """Compute the unpolarised reflectance of a dielectric surface, exact; cosine 0..1, index of refraction > 1.
 
     Numbers, or arrays; kernels call it by the name `fresnel`.
     """
@@ -25,7 +25,7 @@ fresnel = numba.njit(cache=True)(dielectric_fresnel)
 
 @numba.njit(cache=True)
 def ggx_gloss(n_l, n_v, n_h, v_h, alpha, index):
-    """Gloss π D F G / (4 n·v) of the GGX distribution with height-correlated Smith masking.
+    """Compute the gloss π D F G / (4 n·v) of the GGX distribution with height-correlated Smith masking.
 
     Walter et al., Microfacet models for refraction, EGSR 2007, eq. 33; masking: Heitz, JCGT 3(2), 2014, eq. 99.
     n_l, n_v > 0 are cosines of light and view with the normal, n_h and v_h those of the half vector; alpha > 0.
@@ -58,7 +58,7 @@ def facets(half, light, view, alpha_t, alpha_b):
 
 
 def rough_factor(n_l, n_v, l_v, sigma):
-    """Factor of Lambert's law of a rough surface, and its value where light and view are along the normal.
+    """Compute the factor of Lambert's law of a rough surface, and its value where light and view are along the normal.
 
     Oren & Nayar, SIGGRAPH 1994, eq. 30 (qualitative model). n_l, n_v > 0, l_v : cosines of light-normal, view-normal
     and light-view. sigma : roughness, radians. Numbers, or arrays; kernels call it by the name `oren_nayar`.
@@ -76,7 +76,7 @@ oren_nayar = numba.njit(cache=True)(rough_factor)
 
 @numba.njit(cache=True)
 def rough_body(n_l, n_v, l_v, sigma, index):
-    """Share of the body's reflection that differs from Lambert's law; 1 where light and view are along the normal.
+    """Compute the body's reflection relative to Lambert's law; 1 where light and view are along the normal.
 
     `oren_nayar` times the transmission of the surface for light and view. index > 1, or 1 = no surface.
     """
@@ -89,7 +89,7 @@ def rough_body(n_l, n_v, l_v, sigma, index):
 
 
 def rough_matter(n_l, n_v, l_v, sigma, index):
-    """Body reflection of albedo 1: `rough_factor` below a surface of this index; arrays of one shape.
+    """Compute the body reflection of albedo 1: `rough_factor` below a surface of this index; arrays of one shape.
 
     The surface's losses for light and view are not given back, so that body and gloss together never exceed the
     light that arrives.
@@ -99,7 +99,7 @@ def rough_matter(n_l, n_v, l_v, sigma, index):
 
 
 def metal_fresnel(cosine, straight):
-    """Schlick's approximation (1994) for a surface whose reflectance at normal incidence is `straight`; any shapes."""
+    """Apply Schlick's approximation (1994) to a surface of reflectance `straight` at normal incidence; any shapes."""
     return straight + (1.0 - straight) * (1.0 - np.clip(cosine, 0.0, 1.0)) ** 5
 
 
@@ -135,7 +135,7 @@ def reflect_filament(i, o, surface):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def hidden(x, y, z, along, across):
-    """cosθ Λ: Smith's integral of normally distributed slopes, times the cosine."""
+    """Compute cosθ Λ: Smith's integral of normally distributed slopes, times the cosine."""
     spread = math.sqrt((along * x) ** 2 + (across * y) ** 2)
     if spread <= 1e-12 * z:
         return 0.0
@@ -145,7 +145,7 @@ def hidden(x, y, z, along, across):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def body(iz, oz, index):
-    """Reflection of a perfectly white body below the smooth surface, 1/sr: light scattered once and often.
+    """Compute the reflection of a perfectly white body below the smooth surface, 1/sr: light scattered once and often.
 
     Both transmissions, times half of 1/(2π (μ_i + μ_o)), single scattering in a deep medium (Lommel-Seeliger) with the
     cosines μ inside, and half of Lambert's 1/π.

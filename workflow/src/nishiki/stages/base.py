@@ -1,4 +1,4 @@
-"""What a stage is, and what a plan has to know of a scene: the types of the one table in `nishiki.stages.table`."""
+"""Define stages, and the facts of a scene that plans require: the types of the one table in `nishiki.stages.table`."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -17,16 +17,16 @@ from nishiki.errors import UserError
 Lights = Literal["all", "auto"] | Annotated[int, Field(ge=4, le=4096)]
 Measurements = Literal["all", "auto"] | Annotated[int, Field(ge=8, le=100_000)]
 Bases = Literal["auto"] | Annotated[int, Field(ge=1, le=16)]
-"""How many of the measurements a stage uses: all, a number, or as many as the data ask for."""
+"""Number of the measurements in use: all, a number, or chosen from the data."""
 
 ARRAYS = ("numpy", "scipy", "numba", "zarr")
 OPENCV = "opencv-contrib-python-headless"
-"""Packages that most stages load."""
+"""Package of OpenCV, which most stages load."""
 
 
 @dataclass(frozen=True)
 class SceneFacts:
-    """What a plan has to know of a scene before anything is read from its photographs.
+    """Facts of a scene that a plan requires before anything is read from its photographs.
 
     Attributes
     ----------
@@ -42,21 +42,21 @@ class SceneFacts:
         plane (one view, many lights), turntable (many views), goniometer (many pairs of directions) or mosaic (fields,
         each a plane).
     views, states : tuple of str
-        Of a turntable: its views, and the states of its polarisers.
+        Views of a turntable, and the states of its polarisers.
     has_poses : bool
         Whether matrices, boards or correspondences say where a turntable's cameras were.
     measurements, frontal : int
         Pairs of directions of a goniometer; of these, lit along the normal of the cloth.
     given : tuple of str
-        What a turntable's capture comes with: matrices, boards, correspondences, silhouettes of all views.
+        Parts of a turntable's capture: matrices, boards, correspondences, silhouettes of all views.
     parts : mapping of str to int
         Number of files of each part that a scene may do without (see `nishiki.engine.plan`).
     suffixes : tuple of str
-        Of the photographs' names, in small letters.
+        Suffixes of the photographs' names, in small letters.
     table : bool
         Whether the capture holds reflectances instead of photographs.
     fields : mapping of str to tuple of float or None
-        Of a mosaic: x and y of each field on the stage, in mm, None where unknown.
+        x and y of each field of a mosaic on the stage, in mm, None where unknown.
     """
 
     capture_digest: str
@@ -82,18 +82,18 @@ class SceneFacts:
 
     @property
     def observations(self) -> int:
-        """Photographs of the object that a fit sees: lights, times views on a turntable; pairs of directions."""
+        """Number of the object's photographs in a fit: lights, times views on a turntable; pairs of directions."""
         return self.measurements or max(len(self.lights), 1) * max(len(self.views), 1)
 
     @property
     def series(self) -> tuple[str, ...]:
-        """Names of what can be left out of the fits and predicted instead: views of a turntable, otherwise lights."""
+        """Names that can be held out of the fits and predicted instead: views of a turntable, otherwise lights."""
         return self.views if self.geometry == "turntable" else self.lights
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a stage takes at its default settings: a part of its own, one for each pixel, one for each sample.
+    """Resources of a stage at its default settings: a constant part, one per pixel, one per sample.
 
     A sample is one pixel of one photograph, all channels together. Memory is the peak of the resident memory, time is
     processor time of all threads with compiled kernels. The numbers are upper limits of measurements, at most about
@@ -119,12 +119,12 @@ class Cost:
     us_per_sample: float = 0.0
 
     def memory_mb(self, pixels: int, samples: int, *, tile_mib: float = 0.0) -> float:
-        """Return peak resident memory in MiB; tile_mib: of one tile of all observations, as float32."""
+        """Return peak resident memory in MiB; tile_mib: size of one tile of all observations, as float32."""
         growing = (pixels * self.bytes_per_pixel + samples * self.bytes_per_sample) / 2**20
         return self.mib + growing + self.tiles * tile_mib
 
     def processor_seconds(self, pixels: float, samples: float) -> float:
-        """Return expected processor time in seconds, at most."""
+        """Return an upper limit of the expected processor time in seconds."""
         return self.seconds + (pixels * self.us_per_pixel + samples * self.us_per_sample) * 1e-6
 
 
@@ -144,9 +144,9 @@ class Stage:
     settings : type of Guarded
         Model of its settings, with the stage's name, the version of its output and the limits of its result.
     does : str
-        What it makes, in a few words.
+        Result of the stage, in a few words.
     geometry : str or None
-        Of the captures that it is for; None: all.
+        Geometry of the captures that it processes; None: all.
     of_mosaics : bool
         Whether it also works on the maps into which the fields of a mosaic were joined.
     stands_for : tuple of str
@@ -169,13 +169,13 @@ class Stage:
     libraries : tuple of str
         Packages that it loads; their versions decide whether it runs again.
     unused_packages : mapping of str to callable
-        Of some of these, the reason why a scene does without, or None where it is loaded.
+        For some of these, the reason why a scene does not load it, or None where it is loaded.
     outputs : tuple of Output
         The arrays of its `store`.
     deliverables : tuple of str
         Patterns of its files that a user wants to open; they are linked into `current/`.
     threads : int
-        That it can use.
+        Maximum number of threads.
     cost : callable
         Memory and time, from the facts of the scene.
     scatter : bool
@@ -216,16 +216,16 @@ class Stage:
 
     @property
     def limits(self) -> tuple[Limit, ...]:
-        """What its result may not exceed."""
+        """Limits of its result."""
         return self.settings.LIMITS
 
     @property
     def asked_as(self) -> str:
-        """The name under which a scene asks for it."""
+        """Name under which a scene requests it."""
         return self.product or self.name
 
     def serves(self, geometry: str) -> bool:
-        """Return whether captures of this geometry have the stage."""
+        """Check whether captures of this geometry have the stage."""
         return self.geometry in (None, geometry) or (geometry == "mosaic" and self.of_mosaics)
 
 
@@ -236,7 +236,7 @@ def declaration_of(name: str) -> Stage:
 
 
 def no_method(facts: SceneFacts, settings: Any) -> str | None:
-    """Return reason to leave a stage out whose method is none."""
+    """Return the reason to omit a stage whose method is none."""
     return "its method is set to none" if settings.method == "none" else None
 
 
@@ -252,34 +252,34 @@ def poses_of(facts: SceneFacts, settings: SceneSettings) -> str:
 
 
 def surface_of(facts: SceneFacts, settings: SceneSettings) -> str:
-    """Where the surface comes from: file, scans or silhouettes (see the stage mesh)."""
+    """Return the source of the surface: file, scans or silhouettes (see the stage mesh)."""
     source = settings["mesh"].source
     there = [name for name, part in (("file", "mesh"), ("scans", "scans")) if facts.parts.get(part)]
     return source if source != "auto" else next(iter(there), "silhouettes")
 
 
 def photographs_or_states(facts: SceneFacts, settings: SceneSettings, asked: Asked) -> tuple[str, ...]:
-    """Return parts of a turntable's capture that show the light of any polarisation."""
+    """Return parts of a turntable's capture that hold light of any polarisation."""
     return ("photographs",) if "off" in facts.states else ("photographs", "states")
 
 
 def only_files(suffixes: frozenset[str], what: str) -> Reason:
-    """Return reason not to load the package of one kind of photograph."""
+    """Return the reason not to load the package of one kind of photograph."""
     return lambda facts, settings: None if suffixes & set(facts.suffixes) else f"no photograph is {what}"
 
 
 def no_film(stage: str, key: str) -> Reason:
-    """Return reason not to load the package that writes videos."""
+    """Return the reason not to load the package that writes videos."""
     return lambda facts, settings: None if getattr(settings[stage], key) else "no video is asked for"
 
 
 def no_format(stage: str, name: str) -> Reason:
-    """Return reason not to load the package that writes a format."""
+    """Return the reason not to load the package that writes a format."""
     return lambda facts, settings: None if name in settings[stage].formats else f"no file of format {name} is asked for"
 
 
 def digest_of(path: str, key: str) -> str:
-    """Return SHA-256 of a file that a setting names; UserError where it is missing."""
+    """Return the SHA-256 of a file that a setting names; UserError where it is missing."""
     if not Path(path).is_file():
         raise UserError(f"{key}: file {path} not found; correct the path in the configuration")
     return file_digest(Path(path))

@@ -1,4 +1,4 @@
-"""Read the finished maps of a painting, from which pictures, pages, evaluations and exports are made."""
+"""Read the finished maps of a painting, the input of pictures, pages, evaluations and exports."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -46,7 +46,7 @@ def predict_light(
     visibility: np.ndarray | None = None,
     pitch: float = 1.0,
 ) -> PredictedLight:
-    """Return observation I' = (rho c f + beta D F G / cos_r) E with c = max(n.l, 0), frontal view, in camera channels.
+    """Predict I' = (rho c f + beta D F G / cos_r) E with c = max(n.l, 0), frontal view, in camera channels.
 
     Tominaga and Tanaka (2004), eq. 10, with the factor f of the body shading (1: Lambert). light : with a direction, or
     a position relative to the centre of the maps in the unit of `pitch`; E is 1 but for a lamp with fall-off, where no
@@ -69,7 +69,7 @@ def predict_light(
 
 
 def seen_from(light: Light, down: float) -> Light:
-    """Return a lamp as maps see it whose middle lies so much below, in the unit of its position."""
+    """Return a lamp in the frame of maps whose middle lies so much below, in the unit of its position."""
     if light.position_mm is None:
         return light
     x, y, z = light.position_mm
@@ -86,7 +86,7 @@ def light_of(
     white_board: bool = True,
     angular_radius: float = 0.0,
 ) -> Light:
-    """Return the lamp of a captured light, as the normals stage sees it.
+    """Return the lamp of a captured light, as used in the normals stage.
 
     direction : (3,); position : (3,) from the middle of the photograph, or None; centre : (3,) middle of the maps seen
     from there; white_board : whether the observations are free of the lamp's fall-off.
@@ -100,7 +100,7 @@ def light_of(
 
 @dataclass(frozen=True)
 class SceneColour:
-    """How diffuse and specular light become XYZ under one lamp."""
+    """Conversion of diffuse and specular light to XYZ under one lamp."""
 
     white: np.ndarray  # (3,) XYZ of the perfect white facing the lamp
     # (3, K) for spectral coefficients, or None: then `camera` carries the predicted channels to XYZ
@@ -108,7 +108,7 @@ class SceneColour:
     camera: CameraColour | None
 
     def xyz(self, band: PredictedLight, coefficients: np.ndarray | None) -> np.ndarray:
-        """Return (rows, columns, 3) float32.
+        """Compute XYZ (rows, columns, 3) float32.
 
         coefficients : (rows, columns, K) of the same rows. Gloss has the colour of the lamp.
         """
@@ -134,7 +134,7 @@ class PaintingMaps:
     Attributes
     ----------
     maps : Maps
-        Of the stage normals.
+        Maps of the stage normals.
     shape : (int, int)
         Rows and columns.
     band_rows : int
@@ -142,13 +142,13 @@ class PaintingMaps:
     pitch_mm : float or None
         Distance of two pixels; None where the capture states no scale.
     basis : (K, 61) ndarray or None
-        Of the spectra; None where coefficients are the reflectance in the camera's channels.
+        Basis of the spectra; None where coefficients are the reflectance in the camera's channels.
     heights, labels : Maps or None
         With the map `height`, and with `labels`, regions of the gloss.
     glossy : bool
         Whether gloss was fitted.
     gloss : Gloss
-        Of every region; none where it was not fitted.
+        Gloss of every region; none where it was not fitted.
     terms : int
         Terms of the body shading: 0, 3 or 5.
     casts_shadows : bool
@@ -199,11 +199,11 @@ class PaintingMaps:
         return np.where(self.known(rows)[..., None], self.maps.read("normals", rows), np.float32(0))
 
     def shading_normals(self, rows: slice) -> np.ndarray:
-        """As `normals`, those that predict lamps: few lamps have their own (stage normals)."""
+        """Read the normals that predict lamps, as `normals`; with few lights they differ (stage normals)."""
         return np.where(self.known(rows)[..., None], shading_normals(self.maps, rows), np.float32(0))
 
     def relief_normals(self, rows: slice) -> np.ndarray:
-        """As `normals`, of the relief: flattened where the height is."""
+        """Read the normals of the relief, as `normals`: flattened where the height is."""
         if self.heights is None or "normals" not in self.heights:
             return self.normals(rows)
         return self.heights.read("normals", rows)
@@ -215,18 +215,18 @@ class PaintingMaps:
         return self.heights.read("height", rows)
 
     def coefficients(self, rows: slice) -> np.ndarray:
-        """(r, columns, K) coefficients of the spectra, or the reflectance in the camera's channels without spectra."""
+        """Read (r, columns, K) coefficients of the spectra, or without spectra the reflectance in camera channels."""
         if self._spectra is None:
             return self.maps.read("reflectance", rows)
         return self._spectra.read("coefficients", rows)
 
     def display_colours(self, rows: slice) -> np.ndarray:
-        """(r, columns, K) coefficients of the spectra, or without spectra linear sRGB."""
+        """Read (r, columns, K) coefficients of the spectra, or without spectra linear sRGB."""
         colours = self.coefficients(rows)
         return colours if self._spectra else displayed_colours(colours, self._to_srgb)
 
     def shading(self, rows: slice) -> np.ndarray | None:
-        """(r, columns, terms) terms of the body shading; None for Lambert's law."""
+        """Read (r, columns, terms) terms of the body shading; None for Lambert's law."""
         return self.maps.read("shading", rows) if self.terms else None
 
     def regions(self, rows: slice) -> np.ndarray | None:
@@ -234,13 +234,13 @@ class PaintingMaps:
         return None if self.labels is None else self.labels.read("labels", rows)
 
     def slopes(self, rows: slice) -> np.ndarray:
-        """Covariance of the slopes inside the pixels, (r, columns, 3): xx, xy, yy; with the rows beside them."""
+        """Compute the slope covariance inside the pixels, (r, columns, 3): xx, xy, yy; with the rows beside them."""
         first, last = max(rows.start - 1, 0), min(rows.stop + 1, self.shape[0])
         covariance = slope_covariance(self.shading_normals(slice(first, last)))
         return covariance[rows.start - first :][: rows.stop - rows.start]
 
     def block_slopes(self, block: int) -> np.ndarray:
-        """Covariance of the slopes inside squares of pixels of the whole map, of their pixels and between these.
+        """Compute the slope covariance inside squares of pixels of the whole map, within and between the pixels.
 
         It is the mean of the covariances inside the square's known pixels, and the covariance of these pixels' slopes
         (Olano and Baker 2010); 0 where none is known.
@@ -257,7 +257,7 @@ class PaintingMaps:
         return moments[..., 2:] - products(moments[..., :2])
 
     def mean(self, read: Callable[[slice], np.ndarray], block: int) -> np.ndarray:
-        """Means over the known pixels of squares of the whole map, 0 where there are none; read: (r, columns, n)."""
+        """Average the known pixels of squares of the whole map, 0 where there are none; read: (r, columns, n)."""
 
         def known(rows: slice) -> np.ndarray:
             return np.where(self.known(rows)[..., None], read(rows), np.float32(np.nan))
@@ -273,7 +273,7 @@ class PaintingMaps:
         return np.divide(mean, length, out=np.zeros_like(mean), where=length > 0)
 
     def model(self, rows: slice) -> PlaneMaps:
-        """Return what predicts photographs of these rows; without gloss where it is left out."""
+        """Return the model that predicts photographs of these rows; without gloss where it is omitted."""
         return PlaneMaps(
             self.shading_normals(rows),
             np.nan_to_num(self.maps.read("reflectance", rows)),
@@ -285,7 +285,7 @@ class PaintingMaps:
 
 
 def each_map(model: PlaneMaps, change: Callable[[np.ndarray], np.ndarray]) -> PlaneMaps:
-    """Return a model with each of its maps changed."""
+    """Return a model with a function applied to each of its maps."""
     maps = {name: each for name, each in model._asdict().items() if name != "gloss" and each is not None}
     changed: dict[str, Any] = {name: change(each) for name, each in maps.items()}
     return model._replace(**changed)

@@ -1,4 +1,4 @@
-"""One stage by name, as the workflow or a person calls it: `python scripts/stage.py NAME --help`."""
+"""Run one stage by name, for the workflow or a person: `python scripts/stage.py NAME --help`."""
 
 import argparse
 import gc
@@ -59,7 +59,7 @@ def _usage() -> str:
 
 
 def _bug(who: str, error: Exception) -> str:
-    """Return the traceback of an error, and the error itself on one line."""
+    """Format the traceback of an error, and the error itself on one line."""
     *above, last = traceback.format_exception(error)
     message = " ".join(last.split())
     return "".join(above) + f"nishiki {who}: {message}"

@@ -1,4 +1,4 @@
-"""The one table of all stages, in the order of the flow: plan, keys, rules and documentation derive from it."""
+"""List all stages in one table, in the order of the flow: plan, keys, rules and documentation derive from it."""
 
 from nishiki.artifacts.limits import Limit
 from nishiki.stages.base import Stage, declaration_of
@@ -36,16 +36,16 @@ NAMES = (
     "cloth_export",
     "cloth_report",
 )
-"""A stage is a package here, whose `__init__.py` declares it and whose `run.py` runs it, and one line in this table."""
+"""Names of the stages. Each is a package here, whose `__init__.py` declares it and whose `run.py` runs it."""
 
 CHAIN: dict[str, Stage] = {name: declaration_of(name) for name in NAMES}
 PRODUCTS = tuple(dict.fromkeys(stage.asked_as for stage in CHAIN.values() if stage.name != "ingest"))
 LIMITS: dict[str, tuple[Limit, ...]] = {name: stage.limits for name, stage in CHAIN.items()}
-"""Stages that judge and show (render, evaluate, report) have none: a bad result must be shown as well."""
+"""Limits by stage. Stages that judge and show (render, evaluate, report) have none: bad results must be shown too."""
 
 
 def chain_of(geometry: str) -> dict[str, Stage]:
-    """Return stages that captures of this geometry have, in the order of the flow."""
+    """Return the stages for captures of this geometry, in the order of the flow."""
     chain = {name: stage for name, stage in CHAIN.items() if stage.serves(geometry)}
     replaced = {name for stage in chain.values() for name in stage.stands_for}
     return {name: stage for name, stage in chain.items() if name not in replaced}

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from nishiki.report.svg import PALETTE, PAPER, SOFT, Axis, Drawing, draw_axes
 
 NEGLIGIBLE = 0.01
-"""Errors closer than this share of each other count as equal where the times cannot be told apart either."""
+"""Relative difference of errors below which they count as equal if the times do not differ clearly either."""
 
 
 @dataclass(frozen=True)
 class Point:
-    """Place a variant in the plane of time and loss."""
+    """Variant in the plane of time and loss."""
 
     name: str
     time: float  # median over the repeats
@@ -39,7 +39,7 @@ def front(points: Sequence[Point]) -> list[int]:
 
 
 def beaten_by(point: Point, others: Sequence[Point]) -> tuple[list[Point], bool]:
-    """List the others that beat `point`, best loss first, and tell whether at least one does so clearly.
+    """List the others that beat `point`, best loss first, and whether at least one does so clearly.
 
     Clearly: it is faster beyond the spread of the repeats, or its loss is lower by more than NEGLIGIBLE.
     """
@@ -56,7 +56,7 @@ def beaten_by(point: Point, others: Sequence[Point]) -> tuple[list[Point], bool]
 
 AXES = {"seconds": "time, seconds", "cpu_seconds": "CPU time, seconds"}
 LOG_FROM = 8.0
-"""From this ratio of the largest to the smallest value an axis is logarithmic."""
+"""Least ratio of the largest to the smallest value for a logarithmic axis."""
 WIDTH, HEIGHT = 640, 400
 LEFT, RIGHT, TOP, BOTTOM = 66, 18, 14, 74
 COLOURS = {"default": PALETTE[1], "paper": PALETTE[3], "peer": PALETTE[2], "": PALETTE[0], "apart": SOFT}
@@ -77,7 +77,7 @@ PLACES: tuple[tuple[int, int, str], ...] = (
     (13, 4, "start"),
     (-13, 4, "end"),
 )
-"""Where a name may stand beside its mark: offsets in pixels and what of the text lies there."""
+"""Possible places of a name beside its mark: offset in pixels and anchor of the text."""
 
 
 def axis_over(values: Sequence[float], start: float, end: float, *, flipped: bool = False, room: float = 0.08) -> Axis:
@@ -165,7 +165,7 @@ def draw_legend(drawing: Drawing, kinds: set[str]) -> None:
 
 
 WORTH_SAVING = 0.85
-"""A faster variant is mentioned where it takes less than this share of the default's time."""
+"""Share of the default's time below which a faster variant is mentioned."""
 WORDS = {1: "the same", 2: "twice the", 0.5: "half the"} | {
     1 / part: f"a {word} of the" for part, word in {3: "third", 4: "quarter", 5: "fifth", 10: "tenth"}.items()
 }
@@ -174,7 +174,7 @@ WORDS = {1: "the same", 2: "twice the", 0.5: "half the"} | {
 def advice(
     points: list[Point], default: Point, *, paper: Point | None, unit: str, higher: bool, axis: str
 ) -> list[str]:
-    """Sentences on the default: whether it is on the front, what less time costs, what more time buys, the paper.
+    """Write sentences on the default: whether it is on the front, cost of less time, gain of more, the paper.
 
     points : all variants, the default among them
     unit : of the loss; higher : more of the measure is better (the losses are then its negatives)
@@ -226,13 +226,13 @@ def _standing(default: Point, winners: list[str], clear: bool) -> str:
 
 
 def compared(point: Point, default: Point, unit: str, higher: bool, axis: str) -> str:
-    """`half the time for 0.1° more`: a variant against the default."""
+    """Format a variant against the default: `half the time for 0.1° more`."""
     ratio = point.time / default.time if default.time > 0 else 1.0
     return f"{share(ratio, axis)} {_difference(point, default, unit, higher)}"
 
 
 def share(ratio: float, axis: str) -> str:
-    """Express a ratio of times in words, where a word is true to 5 per cent."""
+    """Express a ratio of times in words, if a word is true to 5 per cent."""
     words = [word for value, word in WORDS.items() if abs(ratio / value - 1) <= 0.05]
     return f"{words[0] if words else f'{ratio:.2g} times the' if ratio < 10 else f'{ratio:.0f} times the'} {axis}"
 

@@ -13,9 +13,9 @@ from nishiki.sweep.variants import MeasureSettings, SweepSettings, VariantRow
 
 AXIS_NAMES = {"seconds": "time", "cpu_seconds": "CPU time"}
 KINDS = {"default": "default", "paper": "paper", "peer": "of others", "apart": "not compared"}
-"""Roles of variants, the first of which decides a sign in the drawing, and their names in the table."""
+"""Roles of variants, the first of which determines a sign in the drawing, and their names in the table."""
 BUSY = 1.0
-"""Load before a repeat from which the machine counts as in use by others, in processes waiting or running."""
+"""Load before a repeat, in processes waiting or running, from which others count as using the machine."""
 
 
 def scene_content(
@@ -27,7 +27,7 @@ def scene_content(
     counted: Sequence[str],
     evaluation: str,
 ) -> dict[str, Any]:
-    """Everything about one scene of a sweep. rows : all variants, errors in the order of `measures`."""
+    """Build all data of one scene of a sweep. rows : all variants, errors in the order of `measures`."""
     compared = [k for k, row in enumerate(rows) if not row.apart]
     fronts = []
     for number, measure in enumerate(measures):
@@ -55,7 +55,7 @@ def labelled(measure: MeasureSettings) -> dict[str, str]:
 
 
 def points_of(rows: Sequence[VariantRow], number: int, measure: MeasureSettings, axis: str) -> list[Point]:
-    """Points in the plane of time and loss; the loss is the figure, or its negative where more is better."""
+    """Make points in the plane of time and loss; the loss is the figure, or its negative where more is better."""
     sign = -1.0 if measure.better == "higher" else 1.0
     return [
         Point(
@@ -149,7 +149,7 @@ HOW = (
 
 
 def render_sweep(content: dict[str, Any]) -> str:
-    """HTML of the page. content : as `content.sweep_content` makes it."""
+    """Render the page as HTML. content : from `content.sweep_content`."""
     scenes = content["scenes"]
     counted = []
     for scene in scenes:
@@ -172,7 +172,7 @@ def render_sweep(content: dict[str, Any]) -> str:
 
 
 def scene_blocks(scene: dict[str, Any]) -> list[Block]:
-    """Drawings, advice and tables of one scene."""
+    """Build drawings, advice and tables of one scene."""
     blocks: list[Block] = []
     axis = AXIS_NAMES[scene["axis"]]
     for measure, drawing, hint in zip(scene["measures"], scene["plots"], scene["advice"], strict=True):
@@ -207,7 +207,7 @@ def scene_blocks(scene: dict[str, Any]) -> list[Block]:
 
 
 def table_of_variants(scene: dict[str, Any]) -> Table:
-    """All variants with their figures, times, memory and bytes."""
+    """Tabulate all variants with their figures, times, memory and bytes."""
     rows = []
     for row in scene["rows"]:
         times = []

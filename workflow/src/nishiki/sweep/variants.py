@@ -32,7 +32,7 @@ class MeasureSettings(Closed):
 
 
 class SweepSettings(Closed):
-    """Which settings vary on which scenes, what is measured, and which variants stand out."""
+    """Varied settings and scenes, measures, and special variants."""
 
     scenes: tuple[str, ...] = Field((), description="scenes of the scene table; none named: all")
     stage: str = Field(description="stage whose settings vary; keys without a stage's name belong to it")
@@ -65,14 +65,14 @@ AS_CONFIGURED = "as configured"
 
 @dataclass(frozen=True)
 class Variant:
-    """One point of a sweep: its name, and its settings as blocks by stage, to be laid over the scene's."""
+    """One point of a sweep: its name, and its settings as blocks by stage, which override the scene's."""
 
     name: str
     overrides: dict[str, Any]
 
 
 def expand(sweep: SweepSettings, *, stages: Collection[str], where: str) -> list[Variant]:
-    """All variants of a sweep: the scene as it is configured, the grid in the order of its keys, the named ones.
+    """List all variants of a sweep: the scene as configured, the grid in the order of its keys, the named ones.
 
     stages: names of all stages, to tell `stage.setting` from a setting inside a setting. Raises UserError naming
     `where` and the key: no variants, a name used twice, or a role given to a variant that is not there.
@@ -146,7 +146,7 @@ def shown(value: Any) -> str:
 
 
 def processor(cpuinfo: Path = Path("/proc/cpuinfo")) -> str:
-    """Model of the processor, as the system names it."""
+    """Return the model of the processor, as the system names it."""
     for line in cpuinfo.read_text().splitlines() if cpuinfo.exists() else []:
         if line.startswith("model name"):
             return line.split(":", 1)[1].strip()
@@ -166,16 +166,16 @@ CAPTURED = MeasureSettings(
 CLOTH = MeasureSettings(path="regions.*.rms_rel_default.*", label="relative rms error of measurements that no fit saw")
 USUAL = {"plane": (NORMALS, RELIGHTING), "turntable": (LEFT_OUT, CAPTURED), "goniometer": (CLOTH,)}
 USUAL_OF_STAGE = {"height": (HEIGHT, RELIGHTING), "spectra": (SPECTRA, RELIGHTING), "brdf": (RELIGHTING,)}
-"""Measures in the order of preference: the first one that the evaluation holds is taken."""
+"""Measures in the order of preference: the first one in the evaluation is used."""
 
 
 def candidates(stage: str, geometry: str) -> tuple[MeasureSettings, ...]:
-    """Measures usual for a sweep of `stage` on captures of this geometry, in the order of preference."""
+    """List measures usual for a sweep of `stage` on captures of this geometry, in the order of preference."""
     return (*USUAL_OF_STAGE.get(stage, ()), *USUAL[geometry])
 
 
 def as_measure(given: str | MeasureSettings) -> MeasureSettings:
-    """Build a measure from its path alone: one of the usual ones where the path is theirs."""
+    """Build a measure from its path alone: a usual one where the path matches."""
     if isinstance(given, MeasureSettings):
         return given
     known = (*USUAL_OF_STAGE.values(), *USUAL.values())
@@ -185,7 +185,7 @@ def as_measure(given: str | MeasureSettings) -> MeasureSettings:
 def values_of(
     measure: MeasureSettings, sources: list[dict[str, Any]], settings: dict[str, Any]
 ) -> dict[tuple[str, ...], float]:
-    """All figures at the measure's path in the first of `sources` that holds it, by what each * stands for.
+    """Find all figures at the measure's path in the first of `sources` that holds it, by the keys for each *.
 
     settings : of the variant, by stage, for {stage.setting} in the path. Empty where no source has the path.
     """
@@ -194,7 +194,7 @@ def values_of(
 
 
 def compared(by_variant: dict[str, dict[tuple[str, ...], float]]) -> dict[str, float | None]:
-    """One figure for each variant: the mean over what all variants have, so that all are judged on the same.
+    """Average each variant's figures over the keys common to all, so that all are judged on the same.
 
     by_variant : figures, as `values_of` gives them. None for a variant that has none, or none in common.
     """
@@ -215,7 +215,7 @@ def _at(block: Any, parts: list[str]) -> Any:
 
 
 def _values(block: Any, parts: list[str], stars: tuple[str, ...] = ()) -> dict[tuple[str, ...], float]:
-    """All finite numbers at a path, by the keys that its * stood for; {} where it leads nowhere or to no number."""
+    """Find all finite numbers at a path, by the keys for its *; {} where it leads nowhere or to no number."""
     if not parts:
         number = isinstance(block, int | float) and not isinstance(block, bool) and math.isfinite(block)
         return {stars: float(block)} if number else {}
@@ -230,7 +230,7 @@ def _values(block: Any, parts: list[str], stars: tuple[str, ...] = ()) -> dict[t
 
 
 def paths_in(block: Any, prefix: str = "") -> list[str]:
-    """All dotted paths of numbers in nested dictionaries, for messages."""
+    """List all dotted paths of numbers in nested dictionaries, for messages."""
     if isinstance(block, dict):
         return [
             path for key, item in block.items() for path in paths_in(item, f"{prefix}.{key}" if prefix else str(key))
@@ -251,7 +251,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float]) -> "Spread":
-        """Spread of some values; 0 where there are none."""
+        """Summarise some values; 0 where there are none."""
         if not values:
             return cls(0.0, 0.0, 0.0)
         return cls(round(median(values), 4), round(min(values), 4), round(max(values), 4))
@@ -259,7 +259,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class VariantRow:
-    """Hold one variant of one scene."""
+    """Results of one variant of one scene."""
 
     name: str
     names: tuple[str, ...]

@@ -22,7 +22,7 @@ LEAST = 8  # finite reflectances of a plane
 
 @dataclass(frozen=True)
 class Plane:
-    """Hold reflectances with views in one plane, lit along the normal."""
+    """Reflectances with views in one plane, lit along the normal."""
 
     theta_r: np.ndarray  # (n,) signed radians from the normal, below pi/2
     values: np.ndarray  # (n, channels) sr^-1
@@ -63,7 +63,7 @@ def make_plane(theta_r, values, *, relative_error: float = 0.02, noise=None, mea
 
 
 def planes_of(reflectances, *, region: int = 0, relative_error: float = 0.02) -> tuple[Plane, Plane]:
-    """Weft and warp plane of a set of reflectances (see goniometry.table.ReflectanceSet), lit along the normal.
+    """Make weft and warp plane of a set of reflectances (see goniometry.table.ReflectanceSet), lit along the normal.
 
     Views within PLANE_DEG of a plane. Where there are too few of them, values are read from the interpolated hemisphere
     every STEP_DEG degrees, up to the outermost view that was measured.
@@ -93,7 +93,7 @@ def _in_plane(directions: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _interpolated(reflectances, axis, region, view, views: int) -> tuple[np.ndarray, np.ndarray]:
-    """Angles and values (n, channels) of one plane from the hemisphere; one side where both are equal."""
+    """Sample angles and values (n, channels) of one plane from the hemisphere; one side where both are equal."""
     if reflectances.basic is None or not len(view):
         raise UserError(
             f"weave: expected {LEAST} views along the {('weft', 'warp')[axis]} with the light along the normal, found "
@@ -115,7 +115,7 @@ NOTHING = 1e-6  # a length over the period, or a strength, that is left out of w
 
 @dataclass(frozen=True)
 class WeaveModel:
-    """Both sections and what their surface does with light."""
+    """Both sections and the reflection of their surface."""
 
     weft: WeftSection  # weft, warp: sections, each scaled to a period of 1
     warp: WarpSection
@@ -133,19 +133,19 @@ class WeaveModel:
         return ((self.index - 1.0) / (self.index + 1.0)) ** 2
 
     def parts(self, plane: str, theta_r) -> tuple[np.ndarray, np.ndarray]:
-        """Gloss and body (..., channels) sr^-1 in one plane ("weft", "warp") at signed angles (...,), radians."""
+        """Evaluate gloss and body (..., channels) sr^-1 in a plane ("weft", "warp") at signed angles (...,), rad."""
         rows = plane_rows(0 if plane == "weft" else 1, theta_r)
         widths, reading = (self.a_weft, self.a_warp), READINGS[self.reading]
         both = columns(self.weft.shape, self.warp.shape, widths, rows, f0=self.f0, reading=reading)
         return both[..., :1] * (self.k_s * self.f0), both[..., 1:] * self.k_d
 
     def predict(self, plane: str, theta_r) -> np.ndarray:
-        """Reflectance (..., channels) sr^-1: Takeda and Tanaka, eq. 15 (reading "paper"), or its shaded form."""
+        """Predict reflectance (..., channels) sr^-1: Takeda and Tanaka, eq. 15 (reading "paper"), or shaded."""
         gloss, body = self.parts(plane, theta_r)
         return gloss + body
 
     def parameters(self) -> dict[str, float]:
-        """All parameters by name, strengths as means over channels; lengths in periods."""
+        """Return all parameters by name, strengths as means over channels; lengths in periods."""
         return {
             **{f"{name}_weft": value for name, value in self.weft.as_dict().items()},
             **{f"{name}_warp": value for name, value in self.warp.as_dict().items()},
@@ -159,7 +159,7 @@ class WeaveModel:
 
 @dataclass(frozen=True)
 class WeaveFit:
-    """A fitted model and how good it is."""
+    """A fitted model and the quality of its fit."""
 
     model: WeaveModel
     # per plane, root of the summed squares of the misfit over those of the data (mean over channels)
@@ -254,7 +254,7 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str) -> WeaveMode
 
 
 def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Problem, variance: float) -> Identifiability:
-    """Of all physical parameters, also those that were held."""
+    """Determine the identifiability of all physical parameters, also those that were held."""
     known = {name: value for name, value in model.parameters().items() if value > NOTHING}
     if 4 not in problem.free:
         known.pop("contact_weft", None)
@@ -262,7 +262,7 @@ def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Probl
     rows, kind = _rows(weft, warp), READINGS[model.reading]
 
     def predict(values: dict[str, float]) -> np.ndarray:
-        """Reflectance (n,) for parameters by name; lengths need no common scale."""
+        """Predict reflectance (n,) for parameters by name; lengths need no common scale."""
         contact = values.get("contact_weft", model.weft.contact)
         weft = (*(values.get(f"{name}_weft", 0.0) for name in ("theta_a", "l", "r")), 0.0, values["n_weft"], contact)
         warp = (*(values.get(f"{name}_warp", 0.0) for name in ("theta_a", "l", "r", "m")), 1.0, HALF_PI)

@@ -1,4 +1,4 @@
-"""Determine how well a weave fit is determined, for each unknown and for their combinations."""
+"""Determine the uncertainty of a weave fit, for each unknown and for their combinations."""
 
 from dataclasses import dataclass
 
@@ -25,7 +25,7 @@ def profile_intervals(problem: Problem, p, cost: float, *, confidence: float, va
 
 
 def _reported(at: int):
-    """Name of an unknown in reports, and its value there as a function of the solver's."""
+    """Return the name of an unknown in reports, and its value there as a function of the solver's."""
     if at == 2 * SIZE:
         return "index", lambda v: (1 + np.exp(v / 2)) / (1 - np.exp(v / 2))
     plane, name = PLANES[at // SIZE], PARAMETERS[at % SIZE]
@@ -37,7 +37,7 @@ def _reported(at: int):
 
 
 def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: float, variance: float):
-    """Lowest and highest value of unknown `at` for which the others can still explain the data.
+    """Find lowest and highest value of unknown `at` for which the others can still explain the data.
 
     The sum of squares, minimised over all other unknowns, may rise by variance F(confidence; 1, freedom). Walks
     outwards in growing steps, then halves; where theta_a is walked, the bounds follow it from cell to cell.
@@ -74,7 +74,7 @@ def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: f
 
 
 def _held(problem: Problem, p, at, value, rest, edges, low, high):
-    """Best of all others with one unknown held; a theta_a that ends at the border of its cell tries the next one."""
+    """Fit all others with one unknown held; a theta_a that ends at the border of its cell tries the next one."""
     start = p.copy()
     start[at] = value
     cell = [cell_of(edges[k], start[k * SIZE]) for k in (0, 1)]
@@ -109,7 +109,7 @@ LEAST = 0.05  # share of a direction's largest part from which a parameter is na
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Hold the identifiability of the unknowns."""
+    """The identifiability of the unknowns."""
 
     free: list[str]  # products of powers that change nothing
     weak: list[str]  # those determined to no better than WEAK, the worst first
@@ -118,7 +118,7 @@ class Identifiability:
 
 
 def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, variance: float) -> Identifiability:
-    """From the Jacobian of the weighted prediction in the logarithms of the parameters.
+    """Determine the identifiability from the Jacobian of the weighted prediction in the parameters' logarithms.
 
     predict(dict) -> (n,) reflectances; parameters: by name, those that are 0 cannot be changed by a factor and are left
     out; weight (n,) = 1 / sigma; variance: of the weighted residuals, used where above 1.
@@ -144,7 +144,7 @@ def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, varia
 
 
 def _reduced(rows: np.ndarray) -> np.ndarray:
-    """Reduced row echelon form, pivots by size: the simplest vectors that span the same space."""
+    """Reduce to row echelon form, pivots by size: the simplest vectors that span the same space."""
     rows, done = rows.copy(), 0
     for column in np.argsort(-np.abs(rows).sum(axis=0), kind="stable") if len(rows) else []:
         if done == len(rows):

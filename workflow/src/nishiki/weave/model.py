@@ -26,7 +26,7 @@ TINY = 1e-150  # a gloss column that is no more along the normal stands for noth
 
 
 def shape_of(p: np.ndarray, plane: int) -> tuple[np.ndarray, ...]:
-    """(theta_a, l, r, m, n, contact) of one plane's parameters (..., SIZE), scaled to l + r theta_a = 1.
+    """Convert one plane's parameters (..., SIZE) to (theta_a, l, r, m, n, contact), scaled to l + r theta_a = 1.
 
     p = (theta_a, flank = l / (l + a), humps = share of the length outside of flat top or contacts, log of the lobe's
     width, contact): all within bounds and of like size, whatever the lengths are. humps = -h < 0 (weft): n = h - 1, the
@@ -43,12 +43,12 @@ def shape_of(p: np.ndarray, plane: int) -> tuple[np.ndarray, ...]:
 
 
 def lobe(x, width):
-    """D at an angle x from the middle, 1 at 0."""
+    """Evaluate D at an angle x from the middle, 1 at 0."""
     return np.exp(-((x / width) ** 2))
 
 
 def lobe_integral(low, high, width) -> np.ndarray:
-    """Integral of the lobe over low..high, never negative: on one side of the middle a difference of tails."""
+    """Integrate the lobe over low..high, never negative: on one side of the middle a difference of tails."""
     over = (low < 0.0) & (high > 0.0)
     near, far = np.where(low < 0.0, -high, low), np.where(low < 0.0, -low, high)
     across = width * sqrt(pi) - _beyond(high, width) - _beyond(-low, width)
@@ -56,14 +56,14 @@ def lobe_integral(low, high, width) -> np.ndarray:
 
 
 def _beyond(x, width):
-    """Integral of the lobe from x >= 0 on, to full relative accuracy far out."""
+    """Integrate the lobe from x >= 0 on, to full relative accuracy far out."""
     from scipy.special import erfc
 
     return 0.5 * sqrt(pi) * width * erfc(x / width)
 
 
 def pieces(shape, width, theta) -> tuple[np.ndarray, np.ndarray]:
-    """Gloss (without Fresnel) and body of the pieces seen from theta, times cos(theta), over the period; broadcasts."""
+    """Sum gloss (no Fresnel) and body of the pieces seen from theta, times cos(theta), over the period; broadcasts."""
     theta_a, length, radius, flat, yarns, contact = shape
     rows, half, seen, cosine = yarns - 1.0, 0.5 * theta, side_lengths(shape, theta), np.cos(theta)
     arc = radius * theta_a
@@ -85,7 +85,7 @@ def pieces(shape, width, theta) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plane_rows(plane: int, theta) -> np.ndarray:
-    """Rows (..., 4) of views in one plane (0 weft, 1 warp) at signed angles, radians.
+    """Make rows (..., 4) of views in one plane (0 weft, 1 warp) at signed angles, radians.
 
     Plane, angle, cosine of the view with the normal, and of the light with the half vector.
     """
@@ -94,7 +94,7 @@ def plane_rows(plane: int, theta) -> np.ndarray:
 
 
 def columns(weft, warp, widths, rows: np.ndarray, *, f0, reading: int) -> np.ndarray:
-    """Gloss and body column (..., 2) of two sections' shapes for rows (..., 4); see `plane_rows`.
+    """Compute gloss and body column (..., 2) of two sections' shapes for rows (..., 4); see `plane_rows`.
 
     widths: of the lobes in the weft and the warp plane. Many models at once where these and the numbers of the shapes
     have a shape (models, 1); the columns of each are then (models, ..., 2).

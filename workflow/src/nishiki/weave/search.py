@@ -1,4 +1,4 @@
-"""Search the parameters of the weave model globally, with bounded least squares in each cell.
+"""Find the parameters of the weave model globally, with bounded least squares in each cell.
 
 The unknowns are those of `reading.PARAMETERS` for both planes in a row, then log F0. At each point the two strengths
 (gloss, body), both at least 0, are solved for exactly (variable projection, Golub and Pereyra, SIAM J. Numer. Anal.
@@ -21,7 +21,7 @@ LADDER = 4.0 ** np.arange(4)  # dampings that are tried at once where the first 
 
 
 def strengths(a: np.ndarray, b: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(gloss, body) (...,) >= 0 that minimise |gloss a + body b - y|^2; a, b (..., n), y (n,)."""
+    """Find (gloss, body) (...,) >= 0 that minimise |gloss a + body b - y|^2; a, b (..., n), y (n,)."""
     aa, bb, ab = ((one * other).sum(axis=-1) for one, other in ((a, a), (b, b), (a, b)))
     ay, by = (a * y).sum(axis=-1), (b * y).sum(axis=-1)
     det = aa * bb - ab * ab
@@ -34,7 +34,7 @@ def strengths(a: np.ndarray, b: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, 
 
 
 def residuals(points: np.ndarray, data) -> np.ndarray:
-    """(points, n) = weight (model - y) at every row of points (points, UNKNOWNS); data: of a `Problem`."""
+    """Compute weight (model - y) (points, n) at every row of points (points, UNKNOWNS); data: of a `Problem`."""
     rows, y, weight, reading = data
     out = np.empty((len(points), len(y)))
     for some in strips(len(points)):
@@ -54,7 +54,7 @@ def costs(points: np.ndarray, data) -> np.ndarray:
 
 
 def jacobian(points, low, high, free, data) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Residuals (k, n), Jacobians (k, n, free) of the projected residuals and sums of squares (k,) at k points.
+    """Compute residuals (k, n), Jacobians (k, n, free) of the projected residuals, sums of squares (k,) at k points.
 
     Steps stay within the bounds low, high (k, UNKNOWNS).
     """
@@ -89,7 +89,7 @@ def _step(points, low, high, free, equations, damping) -> np.ndarray:
 
 
 def descend(points, low, high, free, data, rounds: int, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Levenberg-Marquardt from k points within bounds, all (k, UNKNOWNS): the points reached, and their sums (k,).
+    """Run Levenberg-Marquardt from k points within bounds, all (k, UNKNOWNS): points reached, and their sums (k,).
 
     Unknowns at a bound that push outwards are held. Ends when a step gains less than `tolerance` of the sum or none is
     found.
@@ -142,7 +142,7 @@ ROUNDS, TOLERANCE, RETURNS = 60, 1e-10, 3
 
 @dataclass(frozen=True)
 class Problem:
-    """Hold reflectances in both planes, weft first. free: unknowns that are searched."""
+    """Reflectances in both planes, weft first. free: unknowns that are searched."""
 
     rows: np.ndarray
     split: int
@@ -153,7 +153,7 @@ class Problem:
 
     @property
     def data(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
-        """What the functions of the search take."""
+        """Arguments of the functions of the search."""
         return self.rows, self.y, self.weight, self.reading
 
     @property
@@ -162,7 +162,7 @@ class Problem:
         return max(self.y.size - self.free.size - 2, 1)
 
     def only(self, plane: int) -> "Problem":
-        """One plane's data and unknowns."""
+        """Select one plane's data and unknowns."""
         part = slice(0, self.split) if plane == 0 else slice(self.split, None)
         free = self.free[(self.free // SIZE == plane) & (self.free < 2 * SIZE)]
         kept = {name: getattr(self, name)[part].copy() for name in ("rows", "y", "weight")}
@@ -175,7 +175,7 @@ class Problem:
 
 
 def bounds() -> tuple[np.ndarray, np.ndarray]:
-    """Lowest and highest value of every unknown."""
+    """Return the lowest and highest value of every unknown."""
     f0 = [2.0 * np.log((n - 1) / (n + 1)) for n in INDEX]
     low, high = np.array([*BOUNDS, *BOUNDS, f0]).T
     return np.ascontiguousarray(low), np.ascontiguousarray(high)
@@ -214,7 +214,7 @@ def starts(edges: np.ndarray, plane: int, start: np.ndarray, free_contact: bool)
 
 
 def search_plane(problem: Problem, plane: int, start: np.ndarray, *, alone: bool = True):
-    """Best (sum of squares, cell, unknowns) of one plane's unknowns, at most KEPT of them, best first.
+    """Find the best (sum of squares, cell, unknowns) of one plane's unknowns, at most KEPT of them, best first.
 
     alone : against this plane's data only, with strengths of its own; False: against all data, the other plane's
     unknowns as in `start`.
@@ -239,7 +239,7 @@ def search_plane(problem: Problem, plane: int, start: np.ndarray, *, alone: bool
 
 
 def search(problem: Problem, start: np.ndarray) -> tuple[np.ndarray, float]:
-    """Unknowns and sum of squares of the whole problem.
+    """Find unknowns and sum of squares of the whole problem.
 
     Each plane alone; their best cells together, and the neighbours of these; then each plane's cells once more beside
     what was found for the other one, until nothing is gained.
@@ -257,7 +257,7 @@ def search(problem: Problem, start: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _settle(problem: Problem, candidates: list[np.ndarray]) -> tuple[np.ndarray, float]:
-    """Best descent of all unknowns from the candidates, in their own cells and then in the neighbouring ones."""
+    """Find the best descent of all unknowns from the candidates, in their own cells, then in the neighbouring ones."""
     (low, high), edges = bounds(), [problem.edges(plane) for plane in (0, 1)]
     tried: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
 
@@ -292,7 +292,7 @@ def cell_of(edges: np.ndarray, theta_a: float) -> int:
 
 
 def at_bounds(p: np.ndarray, free: np.ndarray) -> list[str]:
-    """Names of the unknowns that ended at the end of their range."""
+    """List the unknowns that ended at the end of their range."""
     low, high = bounds()
     near = 1e-6 * (high - low)
     return [NAMES[k] for k in free if p[k] <= low[k] + near[k] or p[k] >= high[k] - near[k]]

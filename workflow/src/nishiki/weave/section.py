@@ -29,7 +29,7 @@ HALF_PI = 0.5 * pi
 
 
 def facing_length(theta_a, length, radius, theta) -> np.ndarray:
-    """Length seen from the top down on the side of a hump that faces the viewer; theta >= 0, from the normal.
+    """Compute the length seen from the top down on a hump's side that faces the viewer; theta >= 0, from the normal.
 
     Numbers or arrays that broadcast.
     """
@@ -45,7 +45,7 @@ def facing_length(theta_a, length, radius, theta) -> np.ndarray:
 
 
 def facing_contact(contact, theta) -> np.ndarray:
-    """Angle seen from the top down on a contact arc that faces the viewer; theta >= 0, broadcasts.
+    """Compute the angle seen from the top down on a contact arc that faces the viewer; theta >= 0, broadcasts.
 
     For contact = pi/2 it is theta + arcsin(2 cos theta - 1), written without cancellation.
     """
@@ -72,13 +72,13 @@ def side_lengths(shape, theta) -> tuple[np.ndarray, ...]:
 
 
 def total_length(shape):
-    """Surface length of one period: 4 l + 4 a + m + (n - 1) 2 r contact."""
+    """Compute the surface length of one period: 4 l + 4 a + m + (n - 1) 2 r contact."""
     theta_a, length, radius, flat, yarns, contact = shape
     return 4.0 * (length + radius * theta_a) + flat + 2.0 * (yarns - 1.0) * radius * contact
 
 
 def visible_share(shape, theta) -> np.ndarray:
-    """Share of the surface that is seen from theta (signed), 0 to 1; broadcasts."""
+    """Compute the share of the surface that is seen from theta (signed), 0 to 1; broadcasts."""
     seen = side_lengths(shape, theta)
     humps = 2.0 * (seen[0] + seen[1])
     contacts = (shape[4] - 1.0) * shape[2] * (seen[2] + seen[3])
@@ -88,7 +88,7 @@ def visible_share(shape, theta) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Section:
-    """What the two sections have in common; `shape` is (theta_a, l, r, m, n, contact)."""
+    """The common part of the two sections; `shape` is (theta_a, l, r, m, n, contact)."""
 
     @property
     def shape(self) -> tuple[float, float, float, float, float, float]:
@@ -126,7 +126,7 @@ class Section:
         return np.array([*up, (flat, 0.0, 0.0), *row, *down, *up, *down])
 
     def profile(self, samples: int = 400) -> tuple[np.ndarray, np.ndarray]:
-        """One period as a polyline of about `samples` points: points (k, 2) and outward unit normals (k, 2).
+        """Trace one period as a polyline of about `samples` points: points (k, 2), outward unit normals (k, 2).
 
         It begins in a valley at (0, 0). A corner's point appears twice, once with the normal of either side.
         """
@@ -151,7 +151,7 @@ class Section:
         return replace(self, **{name: getattr(self, name) * factor for name in names})
 
     def as_dict(self) -> dict[str, float]:
-        """Fields by name, as numbers."""
+        """Return the fields by name, as numbers."""
         return {name: float(value) for name, value in asdict(self).items()}
 
     def __post_init__(self) -> None:
@@ -201,7 +201,7 @@ class WeftSection(Section):
 
 @dataclass(frozen=True)
 class WovenSurface:
-    """Hold one repeat as a height field."""
+    """One repeat as a height field."""
 
     x: np.ndarray  # (columns,)
     y: np.ndarray  # (rows,) rising
@@ -210,7 +210,7 @@ class WovenSurface:
     pattern: np.ndarray  # (harness, harness) bool: where the warp lies on top
 
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices (n, 3) float32 and triangles (m, 3) int32, anticlockwise seen from above."""
+        """Triangulate: vertices (n, 3) float32 and triangles (m, 3) int32, anticlockwise seen from above."""
         rows, columns = self.height.shape
         xx, yy = np.meshgrid(self.x, self.y)
         vertices = np.stack([xx, yy, self.height], axis=-1).reshape(-1, 3).astype(np.float32)
@@ -221,7 +221,7 @@ class WovenSurface:
 
 
 def shade(surface: WovenSurface, *, repeats: int = 2, width: int = 640) -> np.ndarray:
-    """Picture (rows, columns, 3) uint8 of the surface from above, lit from the upper left; warp and weft tinted."""
+    """Draw the surface from above, lit from the upper left: (rows, columns, 3) uint8; warp and weft tinted."""
     tiles = (repeats, repeats)
     height = np.tile(surface.height[:-1, :-1], tiles)
     kind = np.tile(surface.is_warp[:-1, :-1], tiles)

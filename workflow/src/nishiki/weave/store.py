@@ -1,4 +1,4 @@
-"""The weave model on disk: `weave.json`, one entry a region, and what is drawn from it."""
+"""Store the weave model: `weave.json`, one entry a region, and the pictures and curves made from it."""
 
 import json
 from dataclasses import asdict
@@ -19,7 +19,7 @@ FORMAT = 1  # of the file; readers refuse others
 def describe(
     fit: WeaveFit, planes: tuple[Plane, Plane], *, weave: str, harness: int, yarns: dict | None = None
 ) -> dict:
-    """One region's entry: sections, parameters, intervals, curves of the fit beside the measured values.
+    """Describe one region: sections, parameters, intervals, curves of the fit beside the measured values.
 
     yarns : what is known of the interlaced yarns, see `describe_yarns`.
     """
@@ -65,7 +65,7 @@ def describe_yarns(search: YarnSearch, *, confidence: float) -> dict:
 
 
 def curves(model: WeaveModel, name: str, plane: Plane) -> dict:
-    """Measured and fitted reflectance of one plane, mean over channels: degrees, sr^-1."""
+    """Return measured and fitted reflectance of one plane, mean over channels: degrees, sr^-1."""
     gloss, body = model.parts(name, plane.theta_r)
     return {
         "theta_r_deg": np.round(np.degrees(plane.theta_r), 4).tolist(),

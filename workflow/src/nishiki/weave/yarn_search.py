@@ -1,4 +1,4 @@
-"""Which weave of elliptical yarns explains the reflectances: every binding in turn, the best ones to the end.
+"""Find the weave of elliptical yarns that explains the reflectances: each binding in turn, the best to the end.
 
 A short fit on few samples ranks the bindings (plain, twills, satins with every step); the best are fitted again with
 more samples and a finer surface. Yarns that are long in coming up can imitate a longer repeat, so what is known of
@@ -73,7 +73,7 @@ class ReflectanceSamples:
 
 @dataclass(frozen=True)
 class YarnFit:
-    """Hold a fitted weave.
+    """A fitted weave.
 
     x in the order of NAMES and its information matrix, coefficients (channels, 2) of body and Lambert term, cost with
     all priors; of the samples rms_rel, and variation: standard deviation of the values over their
@@ -91,7 +91,7 @@ class YarnFit:
 
     @property
     def explains(self) -> bool:
-        """Whether the yarns explain most of how the reflectance varies with the view; else the weave is unknown."""
+        """Test if the yarns explain most of how the reflectance varies with the view; else the weave is unknown."""
         return self.rms_rel < UNEXPLAINED * self.variation
 
     @property
@@ -101,7 +101,7 @@ class YarnFit:
 
     @property
     def brdf(self) -> InterlacedYarns:
-        """The weave with what lies within its fibres."""
+        """The weave with the interior of its fibres."""
         body, lambert = self.coefficients.T
         return InterlacedYarns(self.weave, body.copy(), lambert.copy(), np.ones((2, 8)))
 
@@ -140,7 +140,7 @@ def prior_of(binding: Binding, spacing_ratio: float | None) -> tuple[np.ndarray,
 
 
 def prior_cost(binding: Binding) -> float:
-    """Return what a binding has to gain in cost, for it is woven less than others."""
+    """Return the cost that a binding has to gain, for it is woven less than others."""
     if binding in USUAL:
         return 0.0
     over, under = binding.over, binding.under
@@ -164,7 +164,7 @@ def samples_of(measured: Measured, *, views: int) -> ReflectanceSamples:
 
 
 def spread(views: np.ndarray, count: int) -> np.ndarray:
-    """Rows of `count` of the views (n, 3), each the farthest from those before; mirror images are the same place."""
+    """Choose `count` rows of the views (n, 3), each farthest from those before; mirror images are the same place."""
     folded = np.abs(views)
     chosen = [int(np.argmax(views[:, 2]))]
     distance = np.full(len(views), np.inf)
@@ -236,7 +236,7 @@ def fit_binding(
 
 @dataclass(frozen=True)
 class YarnSearch:
-    """Hold the result of a search."""
+    """The result of a search."""
 
     best: YarnFit  # fitted to the end, a usual weave where the samples do not distinguish it from the best one
     alike: list[Binding]  # bindings that explain the samples about as well, the best first
@@ -246,7 +246,7 @@ class YarnSearch:
 def search_yarns(
     measured: Measured, candidates: Iterable[Binding], *, spacing_ratio: float | None = None
 ) -> YarnSearch:
-    """Search the weave of elliptical yarns that explains a region best; candidates by rising harness.
+    """Find the weave of elliptical yarns that explains a region best; candidates by rising harness.
 
     spacing_ratio: of weft yarns over warp yarns, where the threads were counted.
     """

@@ -1,4 +1,4 @@
-"""Model interlaced yarns of elliptical section: their surface, and what it reflects.
+"""Model interlaced yarns of elliptical section: their surface and its reflection.
 
 Lengths are in spacings of the warp yarns; x along the weft, y along the warp. A warp yarn of half width a1 and half
 thickness b1 lies below some weft yarns of a repeat and above the others, as the `Binding` says. At a crossing both
@@ -48,7 +48,7 @@ LEAST = 1e-3  # share of a place below which a yarn is left out
 
 
 class Form(NamedTuple):
-    """What the compiled functions take of a weave; lengths in warp spacings."""
+    """Arguments of the compiled functions from a weave; lengths in warp spacings."""
 
     up: np.ndarray  # (rows, columns) 1 where the warp lies on top, else -1, a whole repeat
     warp_middle: np.ndarray  # (columns,): middle of a warp yarn's one stretch below the others, in crossings
@@ -150,7 +150,7 @@ def height_field(x, y, form, height, is_warp):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _looked_up(x, y, form, table):
-    """Height from the table; the columns beside those are the same, moved along by the step of the weave."""
+    """Look up the height in the table; the columns beside it are the same, moved along by the step of the weave."""
     rows, columns = table.shape
     place = (x + 0.5) / form.together
     group = math.floor(place)
@@ -274,7 +274,7 @@ INDEX = 1.54  # of refraction
 
 @dataclass(frozen=True)
 class Binding:
-    """Describe how warp and weft cross.
+    """The crossings of warp and weft.
 
     A warp yarn lies above `over` weft yarns, then below `under`; the place moves on by `step` weft yarns after every
     `together` warp yarns.
@@ -355,7 +355,7 @@ def _middles(crossed: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class YarnWeave:
-    """Describe a weave of elliptical yarns."""
+    """A weave of elliptical yarns."""
 
     binding: Binding
     spacing_ratio: float  # spacing of the weft over that of the warp
@@ -378,14 +378,14 @@ class YarnWeave:
 
     @classmethod
     def from_arrays(cls, arrays) -> Self:
-        """Restore what `as_arrays` returned."""
+        """Restore the weave from the result of `as_arrays`."""
         values = {field.name: arrays[field.name] for field in fields(cls)}
         values = {name: value if np.ndim(value) else float(value) for name, value in values.items()}
         return cls(**values | {"binding": Binding(*map(int, arrays["binding"]))})
 
     @cached_property
     def form(self) -> Form:
-        """What the compiled functions take."""
+        """Arguments of the compiled functions."""
         pattern = self.binding.pattern()
         up = np.where(pattern, 1.0, -1.0)
         half_width = 0.5 * self.fill * [1.0, self.spacing_ratio]
@@ -424,7 +424,7 @@ class YarnWeave:
         return in_lanes(points[which == 1], points[which == 2])
 
     def surface(self, samples: int = 24) -> WovenSurface:
-        """One repeat as a height field, `samples` points a yarn spacing; holes lie as low as the lowest yarn."""
+        """Make one repeat's height field, `samples` points a yarn spacing; holes lie as low as the lowest yarn."""
         pattern = self.binding.pattern()
         y, x = (np.arange(count * samples + 1) / samples for count in pattern.shape)
         height, is_warp = np.empty((y.size, x.size)), np.empty((y.size, x.size), bool)
@@ -459,7 +459,7 @@ class YarnWeave:
 
 @dataclass(frozen=True)
 class InterlacedYarns(YarnFacets):
-    """Reflect light as interlaced yarns do, with what lies within the fibres."""
+    """The reflection of interlaced yarns and of the interior of their fibres."""
 
     KIND: ClassVar[str] = "yarns"
     SHAPE: ClassVar[Any] = YarnWeave

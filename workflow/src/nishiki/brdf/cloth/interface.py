@@ -1,4 +1,4 @@
-"""Define what every reflection model of a cloth offers, measure its quality, and exchange its dye.
+"""Define the interface of a cloth's reflection models, measure their quality, and exchange their dye.
 
 A BRDF is a frozen dataclass in the cloth's frame: x the weft, y the warp, z the normal; unit vectors away from the
 surface.  `channels` is the number of channels, `KIND` its name; a class that is reciprocal by construction says so
@@ -30,7 +30,7 @@ LEAST_COSINE = 1e-9  # of directions above the horizon: nearer ones count as tha
 
 
 def off_horizon(directions: np.ndarray) -> np.ndarray:
-    """Directions (..., 3) with 0 < z < LEAST_COSINE lifted to it (their length stays 1 to 1e-18); the rest as it is."""
+    """Lift directions (..., 3) with 0 < z < LEAST_COSINE to it (their length stays 1 to 1e-18); keep the rest."""
     directions = np.asarray(directions, float)
     low = (directions[..., 2] > 0) & (directions[..., 2] < LEAST_COSINE)
     if not low.any():
@@ -52,7 +52,7 @@ class Halves:
 
 
 def halves(incident: np.ndarray, outgoing: np.ndarray) -> Halves:
-    """Geometry of unit vectors (..., 3), broadcast against each other."""
+    """Compute the geometry of unit vectors (..., 3), broadcast against each other."""
     incident, outgoing = np.broadcast_arrays(off_horizon(incident), off_horizon(outgoing))
     above = (incident[..., 2] > 0) & (outgoing[..., 2] > 0)
     total = np.where(above[..., None], incident + outgoing, (0.0, 0.0, 1.0))
@@ -68,12 +68,12 @@ def halves(incident: np.ndarray, outgoing: np.ndarray) -> Halves:
 
 
 def only_above(above: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values (..., channels), 0 where `above` (...,) is not."""
+    """Set values (..., channels) to 0 where `above` (...,) is false."""
     return np.where(above[..., None], values, 0.0)
 
 
 def hemisphere(thetas: int = 24, phis: int = 48) -> tuple[np.ndarray, np.ndarray]:
-    """Directions (n, 3) over the hemisphere and their projected solid angles (n,), which sum to pi.
+    """Return directions (n, 3) over the hemisphere and their projected solid angles (n,), which sum to pi.
 
     Gauss-Legendre in sin^2 theta, the measure of the projected solid angle, equal steps in azimuth.
     """
@@ -87,7 +87,7 @@ def hemisphere(thetas: int = 24, phis: int = 48) -> tuple[np.ndarray, np.ndarray
 
 
 def directional_albedo(brdf, incident: np.ndarray, *, thetas: int = 24, phis: int = 48) -> np.ndarray:
-    """Share of the light from each direction (..., 3) that is reflected at all: (..., channels)."""
+    """Compute the share of the light from each direction (..., 3) that is reflected at all: (..., channels)."""
     views, projected = hemisphere(thetas, phis)
     incident = np.asarray(incident, float)
     flat = incident.reshape(-1, 3)
@@ -96,7 +96,7 @@ def directional_albedo(brdf, incident: np.ndarray, *, thetas: int = 24, phis: in
 
 
 def reciprocity_error(brdf, *, pairs: int = 4096, seed: int = 0) -> float:
-    """Root mean square of f(i, o) - f(o, i) over that of f, both weighted by cos_i cos_o, on random pairs."""
+    """Compute the rms of f(i, o) - f(o, i) over that of f, both weighted by cos_i cos_o, on random pairs."""
     rng = np.random.default_rng(seed)
 
     def directions():
@@ -122,7 +122,7 @@ class PredictionError:
 def prediction_error(
     outgoing: np.ndarray, measured: np.ndarray, predicted: np.ndarray, weights=None
 ) -> PredictionError:
-    """Errors over the views (n, 3) of one incidence; values (n,) or (n, channels), channels are averaged.
+    """Compute errors over the views (n, 3) of one incidence; values (n,) or (n, channels), channels are averaged.
 
     weights (n,): solid angle of each view's cell; equal where not given.  The weight of a squared error is that times
     cos theta_r.  Peaks are sought among the measured views.
@@ -159,7 +159,7 @@ POINTS = 6000  # of the hemisphere whose nearest views are counted
 
 
 def solid_angles(outgoing: np.ndarray, *, quarter: bool = False, points: int = POINTS) -> np.ndarray:
-    """(n,) solid angle of the cell of each view (n, 3): the part of the hemisphere that is nearer to it than to others.
+    """Compute the solid angles (n,) of the cells of views (n, 3): the directions that are nearest to each.
 
     By counting evenly spread points (a Fibonacci lattice), so good to 2 pi / points; a cell has at least half a point.
     quarter: views stand for their mirror images in the planes x = 0 and y = 0 too, as under normal incidence.
@@ -182,7 +182,7 @@ def solid_angles(outgoing: np.ndarray, *, quarter: bool = False, points: int = P
 
 
 def together(outgoing: np.ndarray, values: np.ndarray, solid: np.ndarray, *, miss: float, worth: float) -> np.ndarray:
-    """Inverse standard deviations (n,) of views of one incidence that count by their cells.
+    """Compute inverse standard deviations (n,) of views of one incidence, weighted by their cells.
 
     A model that misses the values (n,) by `miss` of their cosine-weighted root mean square gets the sum of squared
     residuals `worth`, or the number of views where that is less: neighbouring views miss alike, they are not
@@ -193,7 +193,7 @@ def together(outgoing: np.ndarray, values: np.ndarray, solid: np.ndarray, *, mis
 
 
 def single(values: np.ndarray, level: np.ndarray, *, miss: float) -> np.ndarray:
-    """Inverse standard deviations (n,) of single measurements: `miss` of the value and of its incidence's level."""
+    """Compute inverse standard deviations (n,) of single values: `miss` of the value and of its incidence's level."""
     return 1 / (miss * np.sqrt(values**2 + level**2))
 
 
@@ -225,7 +225,7 @@ class Dyed:
         return max(self.albedo.size, self.gloss.channels)
 
     def gloss_albedo_at(self, directions: np.ndarray) -> np.ndarray:
-        """Directional albedo of the gloss (...,), linear in theta, periodic and linear in phi."""
+        """Interpolate the gloss's directional albedo (...,) linearly in theta and phi, periodic in phi."""
         theta, phi = angles(directions)
         t, p = np.clip(theta / (np.pi / 2) * THETAS - 0.5, 0, THETAS - 1), phi / (2 * np.pi) * PHIS
         t0, p0 = np.minimum(t.astype(int), THETAS - 2), p.astype(int)
@@ -237,12 +237,12 @@ class Dyed:
         return (1 - u) * rows[0] + u * rows[1]
 
     def body(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """Return what the dye below the gloss reflects, 1 / sr."""
+        """Evaluate the BRDF of the dye below the gloss, 1 / sr."""
         through = (1 - self.gloss_albedo_at(incident)) * (1 - self.gloss_albedo_at(outgoing))
         through = through / max(1 - self.mean_albedo, 1e-3)
         above = (incident[..., 2] > 0) & (outgoing[..., 2] > 0)
         return only_above(above, through[..., None] * (self.albedo / np.pi))
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """BRDF, 1 / sr."""
+        """Evaluate the BRDF, 1 / sr."""
         return self.gloss.evaluate(incident, outgoing) + self.body(incident, outgoing)

@@ -1,4 +1,4 @@
-"""All models of a cloth by name, each fitted to the measurements that it may use."""
+"""List the models of a cloth by name, and fit each to the measurements that it may use."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -89,7 +89,7 @@ def fit_models(
 
 
 def left_out_error(measured: Measured, fit: Fitted) -> float:
-    """Return the mean relative rms error over the oblique incidences of what normal incidence alone predicts.
+    """Return the mean relative rms error over oblique incidences of the prediction from normal incidence alone.
 
     Where nothing was measured off the normal it is the error of the uncorrected model at normal incidence.
     """

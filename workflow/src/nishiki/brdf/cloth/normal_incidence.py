@@ -27,7 +27,7 @@ _HALF_PI = np.pi / 2
 
 
 def stretched_angle(beta: np.ndarray, theta_i: np.ndarray) -> np.ndarray:
-    """beta0 of Takeda et al., eq. 6, radians: 0 at 0, pi/2 at pi/2 - theta_i, pi at pi; beta itself at theta_i = 0.
+    """Compute beta0 of Takeda et al., eq. 6, radians: 0 at 0, pi/2 at pi/2 - theta_i, pi at pi; beta at theta_i = 0.
 
     At theta_i = pi/2 the first branch has no extent and beta0 = (beta + pi) / 2.
     """
@@ -39,7 +39,7 @@ def stretched_angle(beta: np.ndarray, theta_i: np.ndarray) -> np.ndarray:
 
 
 def _frame(incident: np.ndarray, outgoing: np.ndarray):
-    """R_xy (..., 3), theta_i, beta and the unit vector T off R_xy in the plane of V; broadcast.
+    """Compute R_xy (..., 3), theta_i, beta and the unit vector T off R_xy in the plane of V; broadcast.
 
     beta by atan2 (exact near 0 and pi).  Along the normal any R_xy does, for then beta0 = beta; where V is along
     +-R_xy, which is on the horizon, T is the normal: the limit of views that sink to R_xy in the plane of incidence.
@@ -61,7 +61,7 @@ def _frame(incident: np.ndarray, outgoing: np.ndarray):
 
 
 def great_circle_view(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """V0 (..., 3): the view at normal incidence whose reflectance is taken, on the great circle from R_xy through V."""
+    """Compute V0 (..., 3), the view of the reflectance at normal incidence, on the great circle R_xy to V."""
     mirror, theta_i, beta, off = _frame(incident, outgoing)
     turned = stretched_angle(beta, theta_i)
     return np.cos(turned)[..., None] * mirror + np.sin(turned)[..., None] * off
@@ -91,20 +91,20 @@ def linear_view(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
 
 
 def amplitude(incident: np.ndarray) -> np.ndarray:
-    """1 / cos^2 theta_i (Takeda et al., eq. 5), held from 89 degrees on, where it would go to infinity."""
+    """Compute 1 / cos^2 theta_i (Takeda et al., eq. 5), constant from 89 degrees on, where it would go to infinity."""
     return 1.0 / np.maximum(np.asarray(incident, float)[..., 2], GRAZING_COSINE) ** 2
 
 
 @dataclass(frozen=True)
 class _Bard(ArrayFields):
-    """rho_d + factor * rho0(V0); the grid is that of `goniometry.table.BasicReflectance`, without its last theta."""
+    """The model rho_d + factor * rho0(V0); grid of `goniometry.table.BasicReflectance`, without its last theta."""
 
     values: np.ndarray  # (nt, np, channels) rho0 - rho_d, 1 / sr; theta 0 .. pi/2, phi 0 .. 2 pi without its end
     diffuse: np.ndarray  # (channels,) rho_d, 1 / sr
 
     @classmethod
     def of(cls, values: np.ndarray, *, diffuse: np.ndarray | float = 0.0):
-        """From the grid of normal incidence (nt, np, channels), 1 / sr; diffuse is kept out of the law."""
+        """Make the model of the grid of normal incidence (nt, np, channels), 1 / sr; diffuse stays out of the law."""
         values = np.asarray(values, float)
         diffuse = np.broadcast_to(np.asarray(diffuse, float), values.shape[-1:]).copy()
         return cls(values=np.maximum(values - diffuse, 0.0), diffuse=diffuse)
@@ -119,7 +119,7 @@ class _Bard(ArrayFields):
         return coefficients(self.values)
 
     def basic(self, view: np.ndarray) -> np.ndarray:
-        """rho0 - rho_d (..., channels) at V0; what rounding puts below the horizon counts as on it."""
+        """Interpolate rho0 - rho_d (..., channels) at V0; views below the horizon by rounding count as on it."""
         return evaluate(self._spline, np.concatenate([view[..., :2], np.maximum(view[..., 2:], 0.0)], axis=-1))
 
     def _law(self, incident, outgoing, view, factor):
@@ -130,21 +130,21 @@ class _Bard(ArrayFields):
 
 @dataclass(frozen=True)
 class LinearBard(_Bard):
-    """Takeda et al., eq. 5-9 as printed."""
+    """The law of Takeda et al., eq. 5-9, as printed."""
 
     KIND: ClassVar[str] = "bard_linear"
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """BRDF, 1 / sr: (..., channels)."""
+        """Evaluate the BRDF, 1 / sr: (..., channels)."""
         return self._law(incident, outgoing, linear_view(incident, outgoing), amplitude(incident))
 
 
 @dataclass(frozen=True)
 class GreatCircleBard(_Bard):
-    """The same on the exact great circle."""
+    """The law of Takeda et al. on the exact great circle."""
 
     KIND: ClassVar[str] = "bard_great_circle"
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """BRDF, 1 / sr: (..., channels)."""
+        """Evaluate the BRDF, 1 / sr: (..., channels)."""
         return self._law(incident, outgoing, great_circle_view(incident, outgoing), amplitude(incident))

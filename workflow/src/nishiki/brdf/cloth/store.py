@@ -14,7 +14,7 @@ from nishiki.goniometry.directions import unit
 
 
 def goniometer_rows(brdf, *, incident_deg, outgoing_deg) -> np.ndarray:
-    """Rows theta_i, phi_i, theta_r, phi_r (degrees), then one value a channel (1 / sr), of all pairs of two lists.
+    """Tabulate theta_i, phi_i, theta_r, phi_r (degrees), then a value a channel (1 / sr), of all pairs of two lists.
 
     incident_deg (m, 2), outgoing_deg (n, 2): theta, phi.  The very columns of a capture's table of reflectances, so
     that an exported BRDF can be read as a measurement.
@@ -90,7 +90,7 @@ def save_brdf(path: Path, brdf) -> None:
 
 
 def load_brdf(path: Path):
-    """Read a reflection model of a cloth: a result of the stage cloth_brdf, or what `nishiki.write_cloth` wrote.
+    """Read a reflection model of a cloth: a result of the stage cloth_brdf, or a file of `nishiki.write_cloth`.
 
     Parameters
     ----------

@@ -54,7 +54,7 @@ PER_OCTAVE = 1.0 / math.log(2.0)
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _limit(table, component, up):
-    """Steepest tilt that a direction still reaches in one plane, from a table over its angle in 0 .. pi/2."""
+    """Interpolate the steepest tilt that a direction reaches in one plane, from a table over its angle in 0 .. pi/2."""
     last = table.shape[0] - 1
     place = math.atan2(abs(component), up) / HALF_PI * last
     low = min(int(place), last - 1)
@@ -64,7 +64,7 @@ def _limit(table, component, up):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _narrow(tables, family, direction, limits):
-    """Lower limits[family] = (x >= 0, x < 0, y >= 0, y < 0) to what a direction reaches."""
+    """Lower limits[family] = (x >= 0, x < 0, y >= 0, y < 0) to the tilts that a direction reaches."""
     for axis in range(2):
         limit = _limit(tables[family, axis], direction[axis], direction[2])
         side = 2 * axis + (0 if direction[axis] >= 0.0 else 1)
@@ -197,7 +197,7 @@ class Facets(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def sums(incident, outgoing, facets, out):
-    """out (n, 4): mirror reflection and body, 1 / sr, of warp and weft at directions (n, 3)."""
+    """Sum mirror reflection and body, 1 / sr, of warp and weft at directions (n, 3) into out (n, 4)."""
     points, split, rough, index, tables, softness = facets
     limits, scratch, steep = np.empty((2, 4)), np.empty(LANES), 0.25 / softness
     for k in range(incident.shape[0]):
@@ -253,7 +253,7 @@ def places_of(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
 
 
 def fit_ratio(places: np.ndarray, measured: np.ndarray, modelled: np.ndarray, quarter: bool) -> np.ndarray:
-    """Weights (n,) of the images at places (n, 4), from measured and modelled values (n,)."""
+    """Fit weights (n,) of the images at places (n, 4) to measured and modelled values (n,)."""
     known = (measured > 0) & (modelled > 0)
     safe = np.where(known, measured, 1.0) / np.where(known, modelled, 1.0)
     target = np.clip(np.log(safe), -LARGEST, LARGEST)
@@ -262,7 +262,7 @@ def fit_ratio(places: np.ndarray, measured: np.ndarray, modelled: np.ndarray, qu
 
 
 def ratio(incident: np.ndarray, outgoing: np.ndarray, images: np.ndarray, weights: np.ndarray, quarter: bool):
-    """(n,) factor of a model at directions (n, 3)."""
+    """Compute the factor (n,) of a model at directions (n, 3)."""
     places = places_of(incident, outgoing)
     parts = [likeness(places[k : k + BLOCK], images, quarter) @ weights for k in range(0, len(places), BLOCK)]
     return np.exp(np.clip(np.concatenate([np.empty(0), *parts]), -LARGEST, LARGEST))
@@ -289,12 +289,12 @@ class YarnShape(ArrayFields):
     softness: float  # radians: scatter of the limits, for yarns differ
 
     def facets(self) -> Facets:
-        """Return what `sums` reads."""
+        """Return the facets and limits that `sums` reads."""
         points, split = in_lanes(self.atoms(WARP), self.atoms(WEFT))
         return Facets(points, split, self.rough, self.index, self.limits(), self.softness)
 
     def atoms(self, family: int) -> np.ndarray:
-        """(280, ATOM) facets of a family: equal shares of each distribution, at the quantiles in their middles."""
+        """Compute (280, ATOM) facets of a family: equal shares of each distribution, at their middle quantiles."""
         share = self.weft_share if family == WEFT else 1 - self.weft_share
         along, across = (self._slopes(family, k) for k in (SIDE_ALONG, SIDE_ACROSS))
         x, y = np.meshgrid(*((across, along) if family == WARP else (along, across)), indexing="ij")
@@ -316,7 +316,7 @@ class YarnShape(ArrayFields):
         return np.concatenate([-t[::-1], t])
 
     def limits(self) -> np.ndarray:
-        """(2, 2, ANGLES) [family][plane x, y] steepest tilt reached, radians, by the direction's angle in 0 .. pi/2."""
+        """Compute the steepest tilts reached, radians, by angle 0 .. pi/2: (2, 2, ANGLES) [family][plane x, y]."""
         out = np.empty((2, 2, ANGLES))
         for family, planes in ((WARP, (SIDE_ACROSS, SIDE_ALONG)), (WEFT, (SIDE_ALONG, SIDE_ACROSS))):
             for plane, side in enumerate(planes):
@@ -328,7 +328,7 @@ class YarnShape(ArrayFields):
 
 
 def hump(slope: float, power: float, side: int, share: np.ndarray):
-    """Slope, place and height of the points of a hump of width 1 within which `share` (0 .. 1) of its width lies.
+    """Compute slope, place and height of the points of a hump of width 1 within which `share` (0 .. 1) of it lies.
 
     side SIDE_ALONG: slopes exp(-(t / s)^k); SIDE_ACROSS: (1 + (t / s)^k)^(-3 / k).
     """
@@ -344,7 +344,7 @@ def hump(slope: float, power: float, side: int, share: np.ndarray):
 
 
 def hump_limits(slope: float, power: float, side: int, spacing: float, *, points: int = 160) -> np.ndarray:
-    """(ANGLES,) steepest tilt (radians, signed, pi/2: all) on a hump that directions of angle 0 .. pi/2 reach."""
+    """Find the steepest tilts (ANGLES,) (radians, signed, pi/2: all) of a hump that directions at 0 .. pi/2 reach."""
     # points grow denser towards the edge, where slopes change fastest
     t, x, z = hump(slope, power, side, np.sin(np.linspace(0, 0.985 * HALF_PI, points)))
     t, x, z = (np.concatenate([sign * v[:0:-1], v]) for sign, v in ((-1, t), (-1, x), (1, z)))
@@ -363,7 +363,7 @@ def hump_limits(slope: float, power: float, side: int, spacing: float, *, points
 
 @dataclass(frozen=True)
 class YarnFacets:
-    """The BRDF: a shape, what lies within the fibres, and how measured facets and images differ from the shape's."""
+    """The BRDF: a shape, the body of its fibres, and corrections to the measured facets and oblique images."""
 
     KIND: ClassVar[str] = "yarn_facets"
     SHAPE: ClassVar[Any] = YarnShape
@@ -391,28 +391,28 @@ class YarnFacets:
         return shape_parts(self.shape, incident, outgoing, compiled=self._compiled)
 
     def parts(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """(..., 4) mirror reflection and white body, 1 / sr, of warp and weft, without the correction."""
+        """Compute mirror reflection and white body (..., 4), 1 / sr, of warp and weft, without the correction."""
         incident, outgoing = np.broadcast_arrays(off_horizon(incident), off_horizon(outgoing))
         flat = [np.ascontiguousarray(d.reshape(-1, 3)) for d in (incident, outgoing)]
         return self._parts(*flat).reshape(*incident.shape[:-1], 4)
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """BRDF, 1 / sr: (..., channels)."""
+        """Evaluate the BRDF, 1 / sr: (..., channels)."""
         return self.coloured(self.terms(incident, outgoing))
 
     def terms(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """(..., 3) gloss, white body and white Lambert term, 1 / sr: all that `gloss_of` a model shares with it."""
+        """Compute gloss, white body and white Lambert term (..., 3), 1 / sr: all that `gloss_of` a model shares."""
         parts, g = self.parts(incident, outgoing), halves(incident, outgoing)
         mirror = (parts[..., 0] + parts[..., 2]) * corrected(self.correction, g.h)
         each = np.stack([mirror, parts[..., 1] + parts[..., 3], np.full(mirror.shape, 1 / np.pi)], axis=-1)
         return only_above(g.above, each * self.ratio(incident, outgoing)[..., None])
 
     def coloured(self, terms: np.ndarray) -> np.ndarray:
-        """(..., channels) BRDF, 1 / sr, of the terms (..., 3)."""
+        """Compute the BRDF (..., channels), 1 / sr, from the terms (..., 3)."""
         return terms[..., :1] + terms[..., 1:2] * self.body + terms[..., 2:] * self.lambert
 
     def ratio(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """Factor (...,) by which the oblique images around a pair of directions differ from the model."""
+        """Compute the factor (...,) by which the oblique images around a pair of directions differ from the model."""
         incident, outgoing = np.broadcast_arrays(np.asarray(incident, float), np.asarray(outgoing, float))
         if not len(self.images):
             return np.ones(incident.shape[:-1])
@@ -435,7 +435,7 @@ BESIDE = ("body", "lambert", "correction", "images", "image_weights", "quarter")
 
 
 def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *, compiled=None) -> np.ndarray:
-    """(n, 4) mirror reflection and white body, 1 / sr, of warp and weft, at directions (n, 3)."""
+    """Compute mirror reflection and white body (n, 4), 1 / sr, of warp and weft, at directions (n, 3)."""
     facets = compiled or shape.facets()
     return in_blocks(lambda i, o, out: sums(i, o, facets, out), incident, outgoing)
 

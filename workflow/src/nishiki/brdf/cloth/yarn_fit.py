@@ -62,7 +62,7 @@ class ShapeFit:
 
 
 def solve_linear(fixed, columns, values, weight, limits) -> np.ndarray:
-    """Coefficients (channels, k) >= 0 of columns (n, k) in values (n, channels) less fixed (n,).
+    """Solve for the coefficients (channels, k) >= 0 of columns (n, k) in values (n, channels) less fixed (n,).
 
     weight (n,): inverse standard deviations; limits (k,): prior standard deviation of each coefficient about 0,
     infinite where none.
@@ -148,13 +148,13 @@ class Measured:
 
     @classmethod
     def of(cls, measured, region: int = 0) -> "Measured":
-        """From a `goniometry.table.ReflectanceSet`; invalid rows are kept, with a value of NaN."""
+        """Convert a `goniometry.table.ReflectanceSet`; invalid rows stay, with a value of NaN."""
         values = np.where(measured.valid[:, region, None], measured.values[:, region], np.nan)
         quarter = measured.symmetry == "quarter"
         return cls(measured.incident, measured.outgoing, values, measured.normal_incidence, quarter)
 
     def take(self, rows: np.ndarray) -> "Measured":
-        """Select some of them."""
+        """Select some of the measurements."""
         parts = (self.incident, self.outgoing, self.values, self.normal)
         incident, outgoing, values, normal = (np.ascontiguousarray(part[rows]) for part in parts)
         return Measured(incident, outgoing, values, normal, self.quarter)
@@ -166,7 +166,7 @@ class Measured:
 
 
 def refuse_black(measured: Measured) -> None:
-    """UserError where no reflectance is above 0, or there is none at all: weights are relative to them."""
+    """Raise a UserError where no reflectance is above 0, or there is none at all: weights are relative to them."""
     if not (len(measured.grey) and np.mean(measured.grey) > 0):
         raise UserError(
             f"reflection of the cloth: expected reflectances whose mean is above 0, found {len(measured.grey)} of mean "
@@ -176,7 +176,7 @@ def refuse_black(measured: Measured) -> None:
 
 @dataclass(frozen=True)
 class YarnFit:
-    """The BRDF and what its fit says of itself."""
+    """The BRDF and facts about its fit."""
 
     brdf: YarnFacets
     fit: ShapeFit
@@ -186,7 +186,7 @@ class YarnFit:
 
 
 def parts_of(incident: np.ndarray, outgoing: np.ndarray):
-    """Compute the parts that `fit_shape` asks for: mirror reflection, then columns of body and Lambert term."""
+    """Compute the parts for `fit_shape`: mirror reflection, then columns of body and Lambert term."""
     lambert = np.full(len(incident), 1 / np.pi)
 
     def parts(x):
@@ -197,13 +197,13 @@ def parts_of(incident: np.ndarray, outgoing: np.ndarray):
 
 
 def normal_weights(measured: Measured) -> np.ndarray:
-    """Inverse standard deviations (n,) of measurements that are all of normal incidence."""
+    """Compute inverse standard deviations (n,) of measurements that are all of normal incidence."""
     solid = solid_angles(measured.outgoing, quarter=measured.quarter)
     return together(measured.outgoing, measured.grey, solid, miss=MISS, worth=WORTH)
 
 
 def levels(brdf, incident: np.ndarray) -> np.ndarray:
-    """(n,) cosine-weighted root mean square over all views of the incidences (n, 3), as the model predicts it."""
+    """Predict the cosine-weighted root mean square (n,) over all views of each of the incidences (n, 3)."""
     views, projected = hemisphere(10, 24)
     out = np.empty(len(incident))
     for _, _, rows in incidences(incident):
@@ -266,7 +266,7 @@ def fit_yarn_facets(
 
 
 def match_measurements(brdf: YarnFacets, chosen: Measured, basic, *, share: float = 1.0) -> YarnFacets:
-    """Bring a model to what was measured: its mirror reflection at normal incidence, all of it at oblique images.
+    """Correct a model to measurements: its mirror reflection at normal incidence, all of it at oblique images.
 
     chosen: what the fit used; basic: see `fit_yarn_facets`; share: of the logarithm of c(h).
     """
@@ -321,7 +321,7 @@ def brdf_of(fit: ShapeFit) -> YarnFacets:
 
 
 def correction(brdf: YarnFacets, basic, *, steepest: float) -> np.ndarray:
-    """(TILTS, TURNS) factor c(h) that brings the BRDF's mirror reflection to what was measured at normal incidence.
+    """Compute the factor c(h) (TILTS, TURNS) from the BRDF's mirror reflection to that measured at normal incidence.
 
     steepest: largest polar angle measured, radians; views beyond it take its factor.
     """
@@ -347,7 +347,7 @@ SLOPE_STEP = 0.02  # of central differences, in units of the search
 
 
 def choose_oblique(fit: ShapeFit, incident: np.ndarray, outgoing: np.ndarray, count: int) -> np.ndarray:
-    """Choose up to `count` of the candidates (n, 3), (n, 3) by index, the most telling first."""
+    """Choose up to `count` of the candidates (n, 3), (n, 3) by index, the most informative first."""
     allowed = np.flatnonzero((angles(outgoing)[0] <= STEEPEST) & (angles(incident)[0] <= STEEPEST))
     if count == 0 or allowed.size == 0:
         return np.empty(0, int)
@@ -395,7 +395,7 @@ def likeness(incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
 
 
 def _slopes(fit: ShapeFit, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """(n, parameters + 1) derivatives of the predicted mean over channels; the last by the log of the body's albedo."""
+    """Differentiate the predicted mean over channels: (n, parameters + 1), the last by the log of the body's albedo."""
     body = max(float(fit.coefficients[:, 0].mean()), 0.003)
     columns = []
 

@@ -42,13 +42,13 @@ class EnvironmentFit:
 
 
 def harmonics(normals: np.ndarray) -> np.ndarray:
-    """(..., 9): the functions of the unit normal (..., 3) in the lamp frame that E is a sum of."""
+    """Evaluate the basis functions (..., 9) of E at unit normals (..., 3) in the lamp frame."""
     x, y, z = np.moveaxis(np.asarray(normals), -1, 0)
     return np.stack([np.ones_like(x), x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1], axis=-1)
 
 
 def fit_environment(values: np.ndarray, normals: np.ndarray, weights: np.ndarray) -> EnvironmentFit:
-    """E of texels: values (n, M, channels), normals (n, M, 3) in the lamp frame of each view, weights (n, M) >= 0.
+    """Fit E to texels: values (n, M, channels), normals (n, M, 3) in the lamp frame of each view, weights (n, M) >= 0.
 
     Scaled so that E is 1 at most over the normals that were seen.  With fewer than FEWEST texels seen three times, or
     without light, E is max(0, z), a lamp at the camera.
@@ -85,7 +85,7 @@ def _residuals(values: np.ndarray, basis: np.ndarray, weights: np.ndarray, e: np
 
 
 def _step(values: np.ndarray, basis: np.ndarray, weights: np.ndarray, e: np.ndarray) -> np.ndarray:
-    """One Gauss-Newton step of the projected problem (Kaufman): the part of each texel's E across its own column.
+    """Take one Gauss-Newton step of the projected problem (Kaufman): the part of each texel's E across its own column.
 
     Every texel counts by its brightness no more than others do: K_d is divided out of its equations.
     """
@@ -105,7 +105,7 @@ def _step(values: np.ndarray, basis: np.ndarray, weights: np.ndarray, e: np.ndar
 
 
 def _tukey(residuals: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Tukey's biweight of the length of each observation's residual, scaled by the median of all."""
+    """Compute Tukey's biweight of the length of each observation's residual, scaled by the median of all."""
     length = np.sqrt(np.sum(residuals**2, axis=-1))
     counted = length[weights > 0]
     scale = TUKEY * 1.4826 * float(np.median(counted)) if counted.size else 0.0
@@ -115,7 +115,7 @@ def _tukey(residuals: np.ndarray, weights: np.ndarray) -> np.ndarray:
 
 
 def residuals(values: np.ndarray, normals: np.ndarray, weights: np.ndarray, coefficients) -> np.ndarray:
-    """(n, M, channels): what E and the best K_d of each texel leave; arguments as of `fit_environment`."""
+    """Compute the residuals (n, M, channels) of E and the best K_d of each texel; arguments as of `fit_environment`."""
     e = np.asarray(coefficients, float)
     basis, values = harmonics(normals.astype(np.float64)), values.astype(np.float64)
     robust = weights * _tukey(_residuals(values, basis, weights, e), weights)
@@ -147,7 +147,7 @@ NOWHERE = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class Highlight:
-    """direction (3,), 0 0 0 where none is supported; gain: further share of the left-out squared residual explained."""
+    """A direction (3,), 0 0 0 if none is supported; gain: further share of the left-out squared residual explained."""
 
     direction: tuple[float, float, float]
     gain: float
@@ -187,7 +187,7 @@ def fit_highlight(residuals: np.ndarray, normals: np.ndarray, to_camera: np.ndar
 
 
 def _gain(lobe: np.ndarray, residuals: np.ndarray, fitted: np.ndarray, left: np.ndarray, before: float) -> float:
-    """Share of the squared residual that K_s from the `fitted` observations takes off those `left` out."""
+    """Compute the share of the squared residual that K_s from the `fitted` observations takes off those `left` out."""
     below = np.sum(fitted * lobe**2, axis=1)
     ridge = RIDGE * float(np.mean(below)) + 1e-30  # texels that never came near the mirror direction say nothing
     ks = np.maximum(np.sum(fitted * lobe * residuals, axis=1), 0) / (below + ridge)
@@ -196,7 +196,7 @@ def _gain(lobe: np.ndarray, residuals: np.ndarray, fitted: np.ndarray, left: np.
 
 
 def hemisphere(count: int) -> np.ndarray:
-    """(count, 3) float32 unit vectors with z > 0, evenly spread on a spiral."""
+    """Return unit vectors (count, 3) float32 with z > 0, evenly spread on a spiral."""
     k = np.arange(count) + 0.5
     z = 1 - k / count
     turn = np.pi * (1 + np.sqrt(5)) * k
@@ -219,7 +219,7 @@ class Sample:
 
 
 def sample_texels(read: Callable[[int], Tile], tiles: list[int], count: int = SAMPLE) -> Sample:
-    """Every k-th texel of every tile, about `count` in all; of tiles in even steps where these are many."""
+    """Pick every k-th texel of every tile, about `count` in all; of tiles in even steps where these are many."""
     chosen = tiles[:: max(len(tiles) // 200, 1)]
     parts = [[], [], [], []]
     for number in chosen:
@@ -362,7 +362,7 @@ def _fitted(
 
 
 def _lambert_residual(lighting: Lighting, sample: Sample, cameras: list[Camera], light_of: np.ndarray) -> float:
-    """Median deviation of the sample from the Lambert term alone, relative to the texels' level."""
+    """Compute the sample's median deviation from the Lambert term alone, relative to the texels' level."""
     lit, weights = (np.zeros(sample.visible.shape) for _ in range(2))
     for o, camera in enumerate(cameras):
         lamp = lighting.lamp(camera, int(light_of[o]))

@@ -63,7 +63,7 @@ class Lighting(PlainFields):
 
     @classmethod
     def from_capture(cls, lamp: dict, *, lights: int, unit: str) -> "Lighting":
-        """Lighting as a capture declares it: {"kind", "vectors" (lights, 3) or None}, `unit` of the world's lengths.
+        """Read a capture's lighting: {"kind", "vectors" (lights, 3) or None}, `unit` of the world's lengths.
 
         Raises UserError where a direction has no length, a place is given but the world's unit is no length, or the
         number of vectors is not that of the lights.
@@ -128,7 +128,7 @@ def predict(
     camera_centre: np.ndarray,
     lamp: ViewLamp,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Diffuse and specular radiance of points under one lamp, seen by one camera; both (..., channels) float32.
+    """Predict diffuse and specular radiance of points under one lamp in one camera; both (..., channels) float32.
 
     kd, ks: (..., channels); sigma: (...), radians >= 0; positions, normals: (..., 3) in the object's frame, normals of
     unit length; camera_centre: (3,).  Linear, relative: 1 is a white diffuser that faces the lamp.  Miyazaki et al.

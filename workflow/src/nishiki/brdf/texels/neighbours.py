@@ -29,7 +29,7 @@ class Lattice:
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def places(self, positions: np.ndarray) -> np.ndarray:
-        """(n, 3) float64 positions in cells from the origin."""
+        """Convert positions (n, 3) to float64 cells from the origin."""
         return (np.asarray(positions, np.float64).reshape(-1, 3) - self.origin) / self.edge
 
 
@@ -42,12 +42,12 @@ class Neighbourhood:
     parts: list
 
     def mean(self, default: np.ndarray) -> np.ndarray:
-        """(size,): of all texels, by precision; default where none says anything."""
+        """Average all texels by precision: (size,); default where none has any."""
         total = sum((sums.sum(axis=0) for _, sums in self.parts), np.zeros(1 + self.size))
         return total[1:] / total[0] if total[0] > 0 else np.asarray(default, float)
 
     def field(self, coarse: float, default: np.ndarray) -> "Field":
-        """Smooth the field; coarse: precision of the next coarser lattice; default (size,): where no texel tells."""
+        """Smooth the field; coarse: precision of the next coarser lattice; default (size,): where there is no texel."""
         mean = self.mean(default)
         if not any(len(keys) for keys, _ in self.parts):
             return Field(self.lattice, np.zeros(1, np.int64), mean[None].copy(), mean)
@@ -83,7 +83,7 @@ class Field:
     mean: np.ndarray
 
     def at(self, positions: np.ndarray) -> np.ndarray:
-        """(n, size) float32 at positions (n, 3) that were added; elsewhere the nearest nodes' mean, or the first."""
+        """Interpolate (n, size) float32 at added positions (n, 3); elsewhere the nearest nodes' mean, or the first."""
         return _looked_up(self.lattice.places(positions), self.keys, self.values).astype(np.float32)
 
 
@@ -132,7 +132,7 @@ def _looked_up(places: np.ndarray, keys: np.ndarray, values: np.ndarray) -> np.n
 
 
 def fill(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """values (rows, columns, n) with every texel that is not known (rows, columns) replaced from known ones.
+    """Replace values (rows, columns, n) of texels that are not known (rows, columns) from known ones.
 
     Known texels stay as they are; where none is known the result is 0.
     """
@@ -143,7 +143,7 @@ def fill(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def _filled(sums: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Mean of the known texels near each: sums (rows, columns, n) already multiplied by weight (rows, columns)."""
+    """Average the known texels near each: sums (rows, columns, n) already multiplied by weight (rows, columns)."""
     rows, columns = weight.shape
     mean = np.divide(sums, weight[..., None], out=np.zeros_like(sums), where=weight[..., None] > 0)
     if rows <= 1 and columns <= 1:
@@ -160,7 +160,7 @@ def _halved(values: np.ndarray) -> np.ndarray:
 
 
 def _doubled(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
-    """Bilinear, cell centres on cell centres, ends held."""
+    """Double a grid bilinearly to (rows, columns), cell centres on cell centres, ends held."""
     for axis, length in ((0, rows), (1, columns)):
         at = np.clip((np.arange(length) - 0.5) / 2, 0, values.shape[axis] - 1)
         low = np.floor(at).astype(int)

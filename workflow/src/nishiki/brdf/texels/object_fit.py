@@ -33,7 +33,7 @@ KS_UNCONSTRAINED = 0.1  # standard deviation of a texel's own K_s, relative to t
 
 @dataclass(frozen=True)
 class ObjectFit:
-    """What the fit says of itself; shares are of the texels inside charts."""
+    """Figures of the fit; shares are of the texels inside charts."""
 
     texels: int
     samples: int  # visible: texels times observations times channels
@@ -90,7 +90,7 @@ def fit_object(
 
 
 def spacing(tiles: list[Tile]) -> float:
-    """Median distance between texels; 1 where no tile has two side by side."""
+    """Compute the median distance between texels; 1 where no tile has two side by side."""
     values = [tile.spacing for tile in tiles]
     values = [v for v in values if np.isfinite(v) and v > 0]
     return float(np.median(values)) if values else 1.0
@@ -98,7 +98,7 @@ def spacing(tiles: list[Tile]) -> float:
 
 @dataclass(frozen=True)
 class _First:
-    """Pass 1 of a tile: the texels seen, what each says of sigma, and a sample to judge the scatter by."""
+    """Pass 1 of a tile: the observed texels, their estimates of sigma, and a sample to estimate the scatter from."""
 
     texel: np.ndarray
     fit: texel_fit.FirstFit
@@ -124,7 +124,7 @@ class _First:
 
 @dataclass(frozen=True)
 class _Widths:
-    """How sigma follows from a texel's own estimate and the field of the neighbours'."""
+    """The rule for sigma from a texel's own estimate and the field of its neighbours."""
 
     field: Field
     scatter: float
@@ -141,7 +141,7 @@ class _Widths:
         return cls(around.field(1 / scatter**2, default), scatter)
 
     def sigma(self, positions: np.ndarray, log_sigma: np.ndarray, information: np.ndarray) -> np.ndarray:
-        """(points,) float32 radians."""
+        """Compute sigma (points,) float32, radians."""
         near = self.field.at(positions)[:, 0]
         share = information / (information + 1 / self.scatter**2)
         low, high = texel_fit.SIGMA_BOUNDS
@@ -150,7 +150,7 @@ class _Widths:
 
 @dataclass(frozen=True)
 class _Second:
-    """Pass 2 of a tile: what texels say of K_s."""
+    """Pass 2 of a tile: the texels' estimates of K_s."""
 
     part: tuple
     ks: np.ndarray  # of the sample, without a prior
@@ -207,7 +207,7 @@ class _Gloss:
 
 
 def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: _First) -> Parameters:
-    """Pass 3 of a tile: K_d, K_s with the prior; what is unknown is filled."""
+    """Run pass 3 on a tile: fit K_d and K_s with the prior, and fill unknown texels."""
     total, _ = capture.observe(tile)
     shape, channels = tile.inside.shape, tile.values.shape[-1]
     places = tile.positions.reshape(-1, 3)
@@ -257,7 +257,7 @@ def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: li
 
 
 def _totals(finished: list[tuple[np.ndarray, float, int]]) -> tuple[ObjectFit, float]:
-    """Figures of all tiles from counts of flags, squared errors and samples of each; the mean squared error."""
+    """Compute the figures of all tiles from counts of flags, squared errors and samples; and the mean squared error."""
     counts = sum((counted for counted, _, _ in finished), np.zeros(5, np.int64))
     squares = sum(squared for _, squared, _ in finished)
     samples = sum(number for _, _, number in finished)
@@ -305,7 +305,7 @@ def fit_lambert(
 
 
 def lambert_tile(tile: Tile, capture: Capture) -> Parameters:
-    """Parameters of one tile; K_d of texels that nothing shows comes from their neighbours."""
+    """Fit the parameters of one tile; K_d of unobserved texels comes from their neighbours."""
     total, _ = capture.observe(tile)
     shape, channels = tile.inside.shape, tile.values.shape[-1]
     kd = np.zeros((tile.inside.size, channels), np.float32)

@@ -26,7 +26,7 @@ class TexelFlag(IntFlag):
 
 @dataclass(frozen=True)
 class Parameters:
-    """Of one tile: kd, ks (T, T, channels), sigma (T, T) radians, flags (T, T) uint8 of TexelFlag; none is NaN."""
+    """A tile's parameters: kd, ks (T, T, channels), sigma (T, T) radians, flags (T, T) uint8 of TexelFlag; no NaN."""
 
     kd: np.ndarray
     ks: np.ndarray
@@ -39,7 +39,7 @@ NAMES = ("kd", "ks", "sigma", "flags")
 
 
 class ParameterWriter:
-    """Writes the parameters of one artifact; tiles may come from several threads, each tile once."""
+    """A writer of one artifact's parameters; tiles may come from several threads, each tile once."""
 
     def __init__(
         self, folder: Path, outputs: Iterable[Output], shape: tuple[int, int, int, int], *, stamp: dict[str, str]
@@ -59,7 +59,7 @@ class ParameterWriter:
             )
 
     def write(self, tile: int, parameters: Parameters) -> None:
-        """One tile."""
+        """Write one tile."""
         for name in NAMES:
             self.group[name][tile] = getattr(parameters, name)
 
@@ -74,5 +74,5 @@ class ParameterMaps:
         self.channels = self._arrays["kd"].shape[-1]
 
     def read(self, tile: int) -> Parameters:
-        """One tile's parameters."""
+        """Read one tile's parameters."""
         return Parameters(**{name: np.asarray(array[tile]) for name, array in self._arrays.items()})

@@ -22,7 +22,7 @@ MULTIPLE = 8  # observations a texel are padded to a multiple, with weight 0
 
 @dataclass(frozen=True)
 class Observed:
-    """The visible observations of the texels of a tile that are seen at all; every array float32 unless said.
+    """The visible observations of a tile's observed texels; every array float32 unless noted.
 
     texel (points,) int32: row * T + column.  values (points, slots, channels).  diffuse (points, slots): what
     multiplies K_d.  attenuation: what multiplies K_s exp(..), 0 where the lamp is behind.  alpha (points, slots):
@@ -88,7 +88,7 @@ def observed(
 
 
 def _slots(visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Texels that are seen (points,), and their observations (points, slots), -1 where a slot is empty."""
+    """List the observed texels (points,), and their observations (points, slots), -1 where a slot is empty."""
     flat = visible.reshape(visible.shape[0], -1)
     count = flat.sum(axis=0)
     texel = np.flatnonzero(count).astype(np.int32)
@@ -101,7 +101,7 @@ def _slots(visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _pick(stack: np.ndarray, texel: np.ndarray, view: np.ndarray) -> np.ndarray:
-    """Values (points, slots, channels) float32 of a stack (M, T, T, channels), 0 in empty slots."""
+    """Pick values (points, slots, channels) float32 from a stack (M, T, T, channels), 0 in empty slots."""
     flat = np.asarray(stack, np.float32).reshape(len(stack), -1, stack.shape[-1])
     return np.where((view >= 0)[..., None], flat[view, texel[:, None]], np.float32(0))
 
@@ -120,7 +120,7 @@ class Tile:
 
     @property
     def joined(self) -> "Tile":
-        """The same with the total radiance instead of its components."""
+        """The tile with the total radiance instead of its components."""
         return self if self.specular is None else replace(self, values=self.values + self.specular, specular=None)
 
     @property
@@ -133,7 +133,7 @@ class Tile:
 
 @dataclass(frozen=True)
 class Capture:
-    """Of every observation: the camera's centre (M, 3) and the lamp; `encoding` in which errors count."""
+    """The camera's centre (M, 3) and the lamp of every observation; `encoding` in which errors count."""
 
     centres: np.ndarray
     lamps: list[ViewLamp]
@@ -179,7 +179,7 @@ LOST = FitFlag.NO_HIGHLIGHT | FitFlag.TOO_FEW | FitFlag.UNDETERMINED | FitFlag.A
 
 @dataclass(frozen=True)
 class FirstFit:
-    """What each point's own observations say; arrays (points,) or (points, channels), float32.
+    """The fit to each point's own observations; arrays (points,) or (points, channels), float32.
 
     log_sigma is usable where information > 0 (a highlight was observed and its width is determined): the inverse
     variance of log_sigma.  residual: root mean square, weighted.  flags: bits of FitFlag.
@@ -236,7 +236,7 @@ class Strengths:
 
 
 def strengths(total: Observed, sigma: np.ndarray, prior: np.ndarray, precision: float) -> Strengths:
-    """Non-negative K_d and K_s of every texel at its sigma (points,), K_s drawn towards prior (points, channels).
+    """Solve for K_d and K_s >= 0 of every texel at its sigma (points,), K_s drawn towards prior (points, channels).
 
     Minimises sum w (y - K_d q - K_s s)^2 + precision (K_s - prior)^2 for each channel, K_d >= 0 and K_s >= 0, s the
     lobe at sigma.  A texel whose observations are far from the mirror direction has no information on K_s and takes the
@@ -257,7 +257,7 @@ def strengths(total: Observed, sigma: np.ndarray, prior: np.ndarray, precision: 
 
 
 def _pair(a, b, d, u, v) -> tuple[np.ndarray, np.ndarray]:
-    """Least squares in two non-negative unknowns: (of u, of v); 0 where a column is empty."""
+    """Solve least squares in two non-negative unknowns: (of u, of v); 0 where a column is empty."""
     determinant = a * d - b * b
     regular = determinant > 1e-12 * a * d
     scale = 1 / np.where(regular, determinant, 1)

@@ -97,7 +97,7 @@ def locate_given(given: SphereInput, findings: Findings) -> list[Circle]:
 
 
 def _propose(stack, corner, inner: np.ndarray, radii: tuple[float, float], factor: float) -> list[Circle]:
-    """Propose circles in pixels of the photographs around highlights, in a crop that is reduced where it is large.
+    """Find candidate circles in pixels of the photographs around highlights, in a crop that is reduced where large.
 
     stack: crop whose pixels are `factor` pixels large, `corner` its first pixel's place in units of its own pixels.
     """
@@ -182,7 +182,7 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
 def _choose(
     candidates: list[tuple[Cluster, list[Circle]]], left: dict[Circle, float], overview: Overview, findings: Findings
 ) -> list[Circle]:
-    """Choose one circle for each ball such that all agree about the lamps under one lens.
+    """Choose one circle for each ball such that all agree on the lamps under one lens.
 
     left: share of the scene's light that each circle does not explain.
 
@@ -243,7 +243,7 @@ def _choose(
 def _unexplained_shares(
     cluster: Cluster, circles: list[Circle], overview: Overview, camera: SphereCamera
 ) -> dict[Circle, float]:
-    """Compute the share of the scene's light that the lamps seen on each circle do not explain; 1 without a scene.
+    """Compute the share of the scene's light not explained by the lamps of each circle; 1 without a scene.
 
     A turn of all lamps does not change that share, so the ball is treated as seen from afar.
     """
@@ -269,7 +269,7 @@ def _unexplained_shares(
 
 
 def _meet(pair, lens: float | None, camera: SphereCamera) -> tuple[np.ndarray, float]:
-    """Compute the directions (lamps, 3) of lamps from between two balls, of which pair has circle and highlights.
+    """Compute lamp directions (lamps, 3) from between two balls; each pair has circle and highlights.
 
     Also returns the median angle in radians by which rays from both balls miss each other.
     """
@@ -294,7 +294,7 @@ def _meet(pair, lens: float | None, camera: SphereCamera) -> tuple[np.ndarray, f
 def _settle_pair(
     clusters: tuple[Cluster, Cluster], circles: tuple[Circle, Circle], lens: float | None, overview: Overview, camera
 ) -> tuple[Circle, Circle]:
-    """Move the circles of two balls to where their rays meet best and explain the scene best.
+    """Move the circles of two balls to where their rays meet best and the scene is best explained.
 
     For rims that are blurred, or beside stronger edges; the focal length is settled with them.
     """

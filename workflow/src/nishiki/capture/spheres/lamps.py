@@ -1,4 +1,4 @@
-"""Where lamps are, from the rays that mirror spheres reflect, and from the fall-off of their light on a flat surface.
+"""Locate lamps from rays reflected by mirror spheres, and from the fall-off of their light on a flat surface.
 
 A lamp at L is described by u / rho seen from the origin o of the scene: u a unit direction, rho the inverse of its
 distance. Seen from a point P, it lies in direction u - rho (P - o), which also holds for lamps at infinity (rho = 0):
@@ -47,7 +47,7 @@ class Falloff:
 
 @dataclass(frozen=True)
 class LampFit:
-    """Result of `fit_lamps`, in the unit of the spheres' radius; seen from the origin."""
+    """Result of `fit_lamps`, in the unit of the spheres' radius; relative to the origin."""
 
     directions: np.ndarray  # (lamps, 3): unit vectors
     direction_sigma: np.ndarray  # (lamps,): root mean square error of the direction that the fit expects, radians
@@ -71,7 +71,7 @@ class LampFit:
             return self.directions / self.inverse_distance[:, None]
 
     def widened(self, sigma: np.ndarray) -> "LampFit":
-        """Add a further uncertainty of the directions (lamps,) in radians, of which the fit knows nothing."""
+        """Add a further uncertainty of the directions (lamps,) in radians that the fit does not cover."""
         wider = np.hypot(self.direction_sigma, sigma)
         with np.errstate(divide="ignore", invalid="ignore"):
             positions = np.hypot(self.position_sigma, sigma / self.inverse_distance)
@@ -208,7 +208,7 @@ def triangulate(
     Parameters
     ----------
     points, directions : (n, 3)
-        Of the rays; directions of unit length.
+        Origins and unit directions of the rays.
     which : (n,)
         Lamp of each ray.
     lamps : int
@@ -249,7 +249,7 @@ def triangulate(
 
 
 def _centred(values: np.ndarray) -> np.ndarray:
-    """Values (lamps, places) less the means over both, as a vector without those that are not known."""
+    """Subtract the means over both axes from values (lamps, places); return the finite ones as a vector."""
     known = np.isfinite(values)
     rest = np.where(known, values, 0.0)
     for _ in range(5):  # settles the means where some are not known; once is exact where all are
@@ -260,7 +260,7 @@ def _centred(values: np.ndarray) -> np.ndarray:
 
 
 LENSES = (None, 12.0, 8.0, 6.0, 4.5, 3.5, 2.8, 2.2, 1.8, 1.5, 1.25, 1.0, 0.8)
-"""Focal lengths that are tried, in longer sides of the photograph; None: seen from afar."""
+"""Candidate focal lengths, in longer sides of the photograph; None: an orthographic camera."""
 LEVEL_DEG = 5.0  # tilt of a scene up to which it is taken to be level
 LEVEL_SIGMA_DEG = (
     2.5  # by which a level scene may be tilted: .2 to 1.3 under sound balls, 3 to 6 where normals were off by 3 to 5
@@ -271,13 +271,13 @@ FILM_DIAGONAL_MM = 43.27
 
 
 def set_lens(camera: SphereCamera, lens: float | None) -> SphereCamera:
-    """Give the camera another focal length, in longer sides of the photograph; None: seen from afar."""
+    """Give the camera another focal length, in longer sides of the photograph; None: orthographic."""
     side = max(camera.rows, camera.columns)
     return SphereCamera.of(camera.rows, camera.columns, None if lens is None else lens * side)
 
 
 def refit_under(lens: float | None, findings: Findings) -> tuple[SphereCamera, list[Outline]]:
-    """Fit the outlines again to the same edges under another focal length, in longer sides; None: seen from afar."""
+    """Fit the outlines again to the same edges under another focal length, in longer sides; None: orthographic."""
     camera = set_lens(findings.camera, lens)
     return camera, [each.under(camera) for each in findings.outlines]
 
@@ -374,7 +374,7 @@ def find_free_pixels(findings: Findings, *, whole: bool = False) -> np.ndarray:
 
 
 def locate_origin(outlines: list[np.ndarray], camera: SphereCamera, given: SphereInput) -> tuple[np.ndarray, float]:
-    """Locate the point that lamps are seen from, and compute the width of a pixel in the object's plane.
+    """Locate the origin of lamp directions, and compute the width of a pixel in the object's plane.
 
     With one sphere lamps are seen from its centre; with more from the point of the object's plane in the middle of the
     photograph. That plane faces the camera and passes the spheres' lowest points, raised by the object's height.

@@ -222,7 +222,7 @@ def _measure_sphere(given: SphereInput, circle: Circle, crop, stack: np.ndarray,
 
 
 def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], list[str]]:
-    """Highlights that can be used, and warnings; lamps without one are noted in `findings.left_out`."""
+    """Select usable highlights and list warnings; record lamps without one in `findings.left_out`."""
     sightings, doubtful, warnings = [], [], []
     reasons: dict[str, list[str]] = {name: [] for name in names}
     found = findings.highlights
@@ -256,7 +256,7 @@ def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], li
 
 
 def _falloff(given: SphereInput, camera: SphereCamera, seen: list[int]) -> Falloff:
-    """Logarithm of the light on blocks of the board, under the lamps that were measured."""
+    """Compute the logarithm of the light on blocks of the board, under the measured lamps."""
     top = SATURATED * full_scale_of(given.board[0])
     side = max(1, max(camera.rows, camera.columns) // BOARD_BLOCKS)
     rows, columns = camera.rows // side, camera.columns // side
@@ -283,7 +283,7 @@ def _falloff(given: SphereInput, camera: SphereCamera, seen: list[int]) -> Fallo
 
 
 def _positioned(fit: LampFit, given: SphereInput) -> bool:
-    """Whether all lamps have positions worth writing."""
+    """Check whether the positions of all lamps are accurate enough to write."""
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = fit.inverse_distance_sigma / fit.inverse_distance
     usable = (fit.inverse_distance > 0) & (relative < POSITION_SHARE) & (fit.directions[:, 2] > 0)
@@ -383,7 +383,7 @@ def _refusal(source: Path, text: str, kind: str = "lamps-unmeasured") -> Capture
 
 
 def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: int) -> list[Problem]:
-    """Say what was found, what was left out, and by which mask the balls are no part of the object."""
+    """Report what was found and omitted, and the mask that excludes the balls from the object."""
     found, sigma = measured.findings, np.degrees(measured.fit.direction_sigma)
     circles = [each.circle(found.camera) for each in found.outlines]
     places = "; ".join(f"column {x:.0f}, row {y:.0f}, radius {r:.1f}" for x, y, r in circles)

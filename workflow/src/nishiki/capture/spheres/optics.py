@@ -26,7 +26,7 @@ LEAST_SIGMA_PX = 0.05  # of a centroid: pixels are samples
 
 @dataclass(frozen=True)
 class SphereCamera:
-    """The camera that sees the spheres."""
+    """Camera that photographs the spheres."""
 
     rows: int  # rows, columns: size of the photographs
     columns: int
@@ -90,7 +90,7 @@ def sphere_of(parameters: np.ndarray, camera: SphereCamera, radius: float) -> tu
 def reflected_rays(
     pixels: np.ndarray, parameters: np.ndarray, camera: SphereCamera, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Compute points (n, 3) that pixels (n, 2) of a sphere show, and directions (n, 3) of what it mirrors there.
+    """Compute points (n, 3) on a sphere at pixels (n, 2), and directions (n, 3) of their mirror reflections.
 
     NaN where a pixel does not show the sphere.
     """
@@ -202,7 +202,7 @@ def find_highlight(
 
 
 def _finer(smooth: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Columns, rows and values of a highlight, interpolated where it is a few pixels large.
+    """Interpolate columns, rows and values of a highlight of a few pixels.
 
     A level cuts through pixels: of a highlight of five pixels the centroid above it is wrong by 0.2 pixels.
     """
@@ -220,7 +220,7 @@ def _finer(smooth: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def direction_from_sphere(image: np.ndarray, centre: tuple[float, float], radius: float) -> np.ndarray:
-    """Measure the unit direction (3,) float64 to the lamp that a mirror sphere shows in a single photograph.
+    """Measure the unit direction (3,) float64 of the lamp from a mirror sphere in a single photograph.
 
     image (rows, columns) of any scale; centre (row, column) and radius of the sphere's outline in pixels, seen from
     afar along z. ValueError where no highlight lies on the sphere.

@@ -39,11 +39,11 @@ class Outline:
     points: np.ndarray  # (n, 2): edge points used (column, row)
 
     def circle(self, camera: SphereCamera) -> tuple[float, float, float]:
-        """Column, row and radius in pixels of the circle nearest to the outline."""
+        """Compute column, row and radius in pixels of the circle nearest to the outline."""
         return circle_of(self.parameters, camera)
 
     def under(self, camera: SphereCamera) -> "Outline":
-        """Fit the outline that another camera sees along the same edge points."""
+        """Fit the outline for another camera to the same edge points."""
         parameters = solve_outline(self.points, camera)
         covariance = _jackknife(self.points, circle_of(parameters, camera), camera) + _shifted(parameters, camera)
         rms = float(np.sqrt((_distances(self.points, parameters, camera) ** 2).mean()))
@@ -105,7 +105,7 @@ def fit_outline(stack: np.ndarray, seed: Sequence[float], camera: SphereCamera, 
 
 
 def _edge_strengths(stack: np.ndarray, circle: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Find how strongly pictures change along rays from a circle's centre, and how strongly they brighten outwards.
+    """Measure how strongly pictures change along rays from a circle's centre, and how strongly they brighten outwards.
 
     stack (pictures, rows, columns); reach: of the rays, relative to the radius, inwards and outwards. Returns places
     (ANGLES, steps, 2) column and row, and root mean squares over the pictures (ANGLES, steps) of both.
@@ -194,7 +194,7 @@ def solve_outline(pixels: np.ndarray, camera: SphereCamera, weights: np.ndarray 
 
 
 def _distances(pixels: np.ndarray, parameters: np.ndarray, camera: SphereCamera) -> np.ndarray:
-    """Distances of edge points from an outline in pixels, positive outside."""
+    """Compute signed distances of edge points from an outline in pixels, positive outside."""
     if camera.focal_px is None:
         return np.hypot(*(pixels - parameters[:2]).T) - parameters[2]
     length = np.linalg.norm(parameters)
@@ -203,7 +203,7 @@ def _distances(pixels: np.ndarray, parameters: np.ndarray, camera: SphereCamera)
 
 
 def _jackknife(pixels, circle, camera) -> np.ndarray:
-    """Covariance of the parameters: the fit without each sector of the outline in turn."""
+    """Estimate the covariance of the parameters by leaving out each sector of the outline in turn."""
     around = pixels - circle[:2]
     sector = np.floor((np.arctan2(around[:, 1], around[:, 0]) + np.pi) / (2 * np.pi) * SECTORS).astype(int) % SECTORS
     present = np.unique(sector)
@@ -213,7 +213,7 @@ def _jackknife(pixels, circle, camera) -> np.ndarray:
 
 
 def _shifted(parameters: np.ndarray, camera: SphereCamera) -> np.ndarray:
-    """Covariance of the parameters of an outline whose column, row and radius are each uncertain by `REFLECTION_PX`."""
+    """Compute the covariance of an outline whose column, row and radius are each uncertain by `REFLECTION_PX`."""
     points = outline_points(parameters, camera)
     column, row, radius = circle_of(parameters, camera)
     outwards = (points - (column, row)) / radius

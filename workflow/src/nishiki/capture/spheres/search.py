@@ -29,7 +29,7 @@ Crop = tuple[tuple[slice, slice], np.ndarray]
 
 @dataclass(frozen=True)
 class SphereInput:
-    """What is given of the spheres."""
+    """Input of a measurement on spheres."""
 
     photographs: Sequence[Path]  # one a lamp
     # sequence of (row, column, radius): circles in pixels to a quarter of the radius; empty: spheres are searched
@@ -46,7 +46,7 @@ class SphereInput:
 
 @dataclass
 class Findings:
-    """What the photographs show so far; filled step by step, so that a failure can be drawn."""
+    """Intermediate results; filled step by step, so that a failure can be drawn."""
 
     mean: np.ndarray  # (rows, columns) float32: of all photographs, reduced, and the brightest of them
     brightest: np.ndarray  # (rows, columns) float32
@@ -64,7 +64,7 @@ class Findings:
 
 
 class SpheresError(UserError):
-    """No lamps could be measured; `findings` tell how far it came."""
+    """No lamps could be measured; `findings` holds the results up to the failure."""
 
     def __init__(self, text: str, findings: Findings) -> None:
         super().__init__(text)
@@ -211,7 +211,7 @@ def read_overview(photographs: Sequence[Path], read: Callable[[Path], np.ndarray
 
 
 def subtract_surroundings(stack: np.ndarray) -> np.ndarray:
-    """Subtract from photographs (n, rows, columns) what each pixel shows under several lamps; negative where darker."""
+    """Subtract from photographs (n, rows, columns) the light common to several lamps; negative where darker."""
     # A photograph may have been taken twice, or show another lamp as well.
     rank = len(stack) - 1 - max(2 if len(stack) >= 6 else 1, int(LIT_SHARE * len(stack)))
     rest = np.empty_like(stack)
@@ -222,7 +222,7 @@ def subtract_surroundings(stack: np.ndarray) -> np.ndarray:
 
 
 def find_moving_highlights(stack: np.ndarray) -> list[np.ndarray]:
-    """Find small bright places that few photographs share: (m, 3) column, row and peak for each photograph."""
+    """Find small bright places that occur in few photographs: (m, 3) column, row and peak for each photograph."""
     import cv2
 
     smooth = np.array([cv2.GaussianBlur(picture, (0, 0), BLUR) for picture in stack])
@@ -279,7 +279,7 @@ def cluster_highlights(found: list[np.ndarray], overview: Overview) -> list[Clus
 
 
 def _gather(found: list[np.ndarray], score: float, centre: np.ndarray, radius: float, factor: float) -> Cluster | None:
-    """Collect the strongest highlight of each photograph near a place, and settle the place by them."""
+    """Collect the strongest highlight of each photograph near a place, and refine the place by them."""
     import cv2
 
     places: dict[int, np.ndarray] = {}
@@ -319,7 +319,7 @@ class SceneFit:
 
     @property
     def agrees(self) -> bool:
-        """Whether the lamps explain the scene, and no other order of them does."""
+        """Return whether the lamps explain the scene, and no other order of them does so."""
         return self.residual < MOST_RESIDUAL and self.by_chance < MOST_CHANCE
 
 
@@ -341,7 +341,7 @@ def bright_blocks(stack: np.ndarray, free: np.ndarray) -> np.ndarray | None:
 
 
 def residual_of(light: np.ndarray, directions: np.ndarray) -> float:
-    """Compute the share of the squared light of blocks (n, blocks) that Lambert's law leaves.
+    """Compute the share of the squared light of blocks (n, blocks) that Lambert's law does not explain.
 
     A turn of all lamps does not change it.
     """

@@ -1,4 +1,4 @@
-"""What the samples of a cloth's picture show: their points in the cloth's frame, lamps, light around, its models."""
+"""Compute light and reflection at the samples of a cloth's picture: their points, lamps, ambient light, models."""
 
 import json
 from dataclasses import dataclass, field
@@ -20,14 +20,14 @@ from nishiki.render.display import three_channels
 from nishiki.threads import over_items, strips
 
 LEAST_COSINE = 0.02
-"""Interpolated normals that turn away from the eye are bent back until the eye is this far above the horizon."""
+"""Least cosine of the eye above the horizon; interpolated normals turned away from the eye are bent back to it."""
 LIFT = 2e-4
-"""Shadow rays start this far above the surface, in extents of the scene, so that no triangle shades itself."""
+"""Offset of shadow rays above the surface, in extents of the scene, so that no triangle shades itself."""
 
 
 @dataclass(frozen=True)
 class Fragments:
-    """Points that a picture shows, in the order of the picture."""
+    """Visible points of a picture, in the order of the picture."""
 
     pixel: np.ndarray  # (n,) int64 in the band
     # (n,) int64: that of the pixel in the picture times a_pixel, the samples a pixel has, plus that of the sample in
@@ -85,7 +85,7 @@ def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int
 
 
 def lit(scene: ClothScene, samples: Fragments, lamp: Lamp, shadows: bool) -> IncidentLight:
-    """Compute what reaches the samples from a lamp."""
+    """Compute the light from a lamp that reaches the samples."""
     near, reach, level = lamp.place is not None, np.full(len(samples.pixel), 2 * scene.scale), np.ones(())
     if near:
         towards, reach = _unit(np.asarray(lamp.place, np.float64) - samples.place)
@@ -114,7 +114,7 @@ def _unit(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _frames(scene: ClothScene, triangle: np.ndarray, weights: np.ndarray, eye: np.ndarray) -> tuple[np.ndarray, ...]:
-    """See `Fragments`: place, frame, outgoing and back, and which normals were bent.
+    """Compute place, frame, outgoing and back of `Fragments`, and which normals were bent.
 
     The frame is turned to the eye: seen from behind, normal and weft change sign, not the warp.
     """
@@ -142,7 +142,7 @@ def _frames(scene: ClothScene, triangle: np.ndarray, weights: np.ndarray, eye: n
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _share(order, groups, frame, cosine, stands):
-    """Let the first sample of a group stand for those with normal and weft within the cosine, middle ones first."""
+    """Map samples of a group with normal and weft within the cosine to one representative, middle ones first."""
     first = 0
     while first < len(order):
         last = first + 1
@@ -184,13 +184,13 @@ def disc_point(pixel: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
 
 
 VIEW_THETAS, VIEW_PHIS, LIGHTS = 10, 16, (14, 28)
-"""Grid of view directions at which the reflected share of even light is tabulated, and rings and sectors of light."""
+"""Grid of view directions for tables of the reflected share of even light, and rings and sectors of light."""
 RAYS = 1 << 18  # at a time
 
 
 @dataclass(frozen=True)
 class Surroundings:
-    """What surrounds the vertices."""
+    """Visibility of the surroundings from the vertices."""
 
     light: AmbientLight
     open: np.ndarray  # (v, 2): cosine-weighted share of unblocked directions at each vertex, front and back
@@ -210,7 +210,7 @@ class Surroundings:
         return cls(light, share, from_above, corners)
 
     def radiance(self, tables: list[np.ndarray], samples: Fragments, rows: np.ndarray, pixels: int) -> np.ndarray:
-        """(tables, pixels, 3): sums over samples, by their pixels, of the even light that they reflect to the eye.
+        """Compute (tables, pixels, 3): sums over samples, by pixel, of the even light that they reflect to the eye.
 
         tables: `shares` of materials; rows: of the samples. Blocked directions show cloth of the same kind: with
         openness a and albedo r its light comes back r (1 - a) times, again and again, hence a / (1 - r (1 - a)).
@@ -236,14 +236,14 @@ def added_up(pixel: np.ndarray, values: np.ndarray, pixels: int) -> np.ndarray:
 
 
 def grid_views() -> np.ndarray:
-    """(VIEW_THETAS + 1, VIEW_PHIS + 1, 3): views of the grid; the last phi repeats the first, the last theta is 87°."""
+    """Compute (VIEW_THETAS + 1, VIEW_PHIS + 1, 3): views; the last phi repeats the first, the last theta is 87°."""
     theta = np.minimum(np.arange(VIEW_THETAS + 1) / VIEW_THETAS * np.pi / 2, np.radians(87.0))
     theta, phi = np.meshgrid(theta, np.arange(VIEW_PHIS + 1) / VIEW_PHIS * 2 * np.pi, indexing="ij")
     return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], axis=-1)
 
 
 def shares(*brdfs: Brdf) -> list[np.ndarray]:
-    """Share of even light that cloths send to each view of the grid, (VIEW_THETAS + 1, VIEW_PHIS + 1, 3), at most 1.
+    """Compute the share of even light sent to each view of the grid, (VIEW_THETAS + 1, VIEW_PHIS + 1, 3), at most 1.
 
     Integrated over LIGHTS directions of equal projected area.
     """
@@ -265,7 +265,7 @@ def shares(*brdfs: Brdf) -> list[np.ndarray]:
 
 
 def lookup(table: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Bilinear in (theta, phi): (n, 3) at unit vectors (n, 3) above the horizon."""
+    """Interpolate bilinearly in (theta, phi): (n, 3) at unit vectors (n, 3) above the horizon."""
     from scipy.ndimage import map_coordinates
 
     theta = np.arccos(np.clip(directions[:, 2], 0, 1)) / (np.pi / 2) * VIEW_THETAS
@@ -277,7 +277,7 @@ def lookup(table: np.ndarray, directions: np.ndarray) -> np.ndarray:
 
 
 def openness(scene: ClothScene, rays: int, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """See `Surroundings`: (v, 2) and (v, 2) float64, front and back; `reach` in the scene's unit."""
+    """Compute `open` and `from_above` of `Surroundings`, (v, 2) each, front and back; `reach` in the scene's unit."""
     vertices, normals, lift = scene.mesh.vertices, np.asarray(scene.mesh.normals, np.float64), 4 * LIFT * scene.scale
     free, up = np.empty((len(vertices), 2)), np.empty((len(vertices), 2))
     # Points of equal projected area: every vertex tests the same directions about its normal.
@@ -299,7 +299,7 @@ class ClothModels:
     """Reader of an artifact of the stage cloth_brdf."""
 
     def __init__(self, folder: Path):
-        """UserError where there is no cloth_brdf.json."""
+        """Open the artifact. UserError where there is no cloth_brdf.json."""
         self.folder = Path(folder)
         path = self.folder / "cloth_brdf.json"
         if not path.is_file():
@@ -313,7 +313,7 @@ class ClothModels:
 
     @property
     def default(self) -> str:
-        """The model that stands for the cloth."""
+        """Model used by default for the cloth."""
         return self.description["default"]
 
     def names(self, region: str) -> list[str]:
@@ -329,11 +329,11 @@ class ClothModels:
         return load_brdf(self.folder / "models" / region / f"{name}.npz")
 
     def used(self, region: str, model: str) -> list[int]:
-        """Return rows of the reflectance table that the fit of a model saw."""
+        """Return rows of the reflectance table used in the fit of a model."""
         return list(self._region(region)[model]["used"])
 
     def facts(self, region: str, model: str) -> dict[str, Any]:
-        """Return what the fit says of itself."""
+        """Return the fit's diagnostics."""
         return {name: value for name, value in self._region(region)[model].items() if name != "used"}
 
     def _region(self, region: str) -> dict[str, Any]:
@@ -368,7 +368,7 @@ def dyed(
 
 
 def share_of(brdf: Brdf) -> np.ndarray:
-    """`shares` of a BRDF; of a dyed cloth a + albedo (1 - a), a being its gloss' share, which it comes to."""
+    """Compute `shares` of a BRDF; of a dyed cloth the limit a + albedo (1 - a), a being its gloss' share."""
     if not isinstance(brdf, Dyed):
         return shares(brdf)[0]
     gloss_albedo = brdf.gloss_albedo_at(grid_views())[..., None]

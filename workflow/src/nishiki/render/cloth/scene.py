@@ -1,4 +1,4 @@
-"""What is rendered of a cloth: surfaces with their weft, lamps, the light around, and its BRDF, also as a table.
+"""Describe a cloth for rendering: surfaces with their weft, lamps, the light around, and its BRDF, also as a table.
 
 Gloss changes fast with the half vector h of light and view and slowly with the difference between them (Rusinkiewicz, A
 new change of variables for efficient BRDF representation, 1998). The table has these four coordinates:
@@ -26,19 +26,19 @@ from nishiki.threads import over_items
 
 
 class Brdf(Protocol):
-    """What a surface is made of; every model of `nishiki.brdf.cloth` is one."""
+    """Reflection model of a surface; every model of `nishiki.brdf.cloth` is one."""
 
     @property
     def channels(self) -> int:
         """Number of channels."""
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """(..., channels) sr^-1 for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
+        """Evaluate (..., channels) sr^-1 for unit vectors (..., 3) in the frame weft, warp, normal; 0 below horizon."""
 
 
 @dataclass(frozen=True)
 class Matte:
-    """A Lambert surface of reflectance albedo (channels,), for what is not cloth."""
+    """A Lambert surface of reflectance albedo (channels,), for surfaces other than cloth."""
 
     KIND: ClassVar[str] = "matte"
     albedo: tuple[float, ...] = (0.5,)
@@ -49,13 +49,13 @@ class Matte:
         return len(self.albedo)
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """See `Brdf`."""
+        """Compute the reflection, see `Brdf`."""
         above = (np.asarray(incident)[..., 2] > 0) & (np.asarray(outgoing)[..., 2] > 0)
         return np.where(above[..., None], np.asarray(self.albedo) / np.pi, 0.0)
 
 
 def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> list[np.ndarray]:
-    """Return (..., 3) values of each BRDF at directions (..., 3); what several have in common is evaluated once.
+    """Compute (..., 3) values of each BRDF at directions (..., 3); common parts are evaluated once.
 
     Dyes share a gloss, and a model of yarns shares its terms with those that differ from it in colour only.
     """
@@ -131,7 +131,7 @@ class ClothScene:
 
     @classmethod
     def of(cls, surfaces: list[Surface]) -> "ClothScene":
-        """Return the surfaces together. UserError where there is no triangle, or a number that is not finite."""
+        """Join the surfaces. UserError where there is no triangle, or a number that is not finite."""
         if not surfaces or not all(len(surface.mesh.triangles) for surface in surfaces):
             raise UserError("scene: expected surfaces with at least one triangle each")
         starts = np.cumsum([0] + [len(surface.mesh.vertices) for surface in surfaces])
@@ -157,7 +157,7 @@ EDGE = 0.98
 OUTERMOST = 0.995
 """The last ring: at 1 light or view is on the horizon, where BRDFs are 0."""
 STEPS = 4095
-"""Whole steps of the stored numbers, from 0 to the largest."""
+"""Number of steps of the stored numbers, from 0 to the largest."""
 AT_ONCE = 1 << 14
 
 
@@ -195,7 +195,7 @@ class BrdfTable:
         return tables
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """Return (..., 3) sr^-1 for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
+        """Interpolate (..., 3) sr^-1 for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
         incident, outgoing = np.broadcast_arrays(incident, outgoing)
         above = (incident[..., 2] > 0) & (outgoing[..., 2] > 0)
         out = np.zeros((*above.shape, 3))
@@ -215,7 +215,7 @@ class BrdfTable:
 
 
 def coordinates(incident: np.ndarray, outgoing: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return u and v, each -1 to 1, ring, 0 to 1, and turn, 0 to 1, of unit vectors (n, 3) above the horizon."""
+    """Compute u and v, each -1 to 1, ring, 0 to 1, and turn, 0 to 1, of unit vectors (n, 3) above the horizon."""
     total, apart = incident + outgoing, incident - outgoing
     twice_cosine, twice_sine = (np.linalg.norm(vectors, axis=1) for vectors in (total, apart))
     h = total / twice_cosine[:, None]
@@ -228,7 +228,7 @@ def coordinates(incident: np.ndarray, outgoing: np.ndarray) -> tuple[np.ndarray,
 
 
 def directions(u: np.ndarray, v: np.ndarray, ring: np.ndarray, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return unit vectors (n, 3) to light and eye of these coordinates."""
+    """Compute unit vectors (n, 3) to light and eye of these coordinates."""
     h = np.stack([(u + v) / 2, (u - v) / 2, 1 - np.maximum(np.abs(u), np.abs(v))], axis=1)
     h /= np.linalg.norm(h, axis=1)[:, None]
     x, y = axes_about(h)
@@ -239,7 +239,7 @@ def directions(u: np.ndarray, v: np.ndarray, ring: np.ndarray, turn: np.ndarray)
 
 
 def axes_about(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return axes x and y (n, 3) after the shortest turn that carries z to unit vectors (n, 3) above the horizon."""
+    """Compute axes x and y (n, 3) after the shortest turn that carries z to unit vectors (n, 3) above the horizon."""
     p = -1 / (1 + h[:, 2])
     xy = h[:, 0] * h[:, 1] * p
     x = np.stack([1 + h[:, 0] ** 2 * p, xy, -h[:, 0]], axis=1)

@@ -1,4 +1,4 @@
-"""The studio: a surface on paper, lamps that stand where the camera says, dyes by their colours; and its pictures.
+"""Render a surface on paper in a studio, with lamps relative to the camera, and dyes given by their colours.
 
 Of each sample of a picture: what it shows, the light that reaches it, and the cloth's reflection of it.
 """
@@ -21,18 +21,18 @@ from nishiki.render.cloth.surfaces import cylinder, paper
 from nishiki.threads import over_items
 
 BAND_SAMPLES = 1 << 18
-"""Samples held at a time."""
+"""Number of samples held at a time."""
 AT_ONCE = 1 << 14
-"""Directions that a BRDF is given at a time."""
+"""Number of directions evaluated by a BRDF at a time."""
 WITHIN = np.radians(2.0)
-"""Samples of a pixel whose frames differ by less than this share their BRDF value."""
+"""Largest difference of frames between samples of a pixel that share their BRDF value."""
 LEAST_COSINE = 0.05
-"""A sample that the lamp reaches at a lower angle than this does not stand for others."""
+"""Least cosine of the lamp's angle at a sample that represents others."""
 
 
 @dataclass(frozen=True)
 class RenderVariant:
-    """One way to show a scene: the BRDF of each material, a factor for each lamp, and one for the light around."""
+    """One variant of a scene: the BRDF of each material, a factor for each lamp, and one for the ambient light."""
 
     materials: tuple[Brdf, ...]
     lamps: tuple[float, ...]
@@ -124,7 +124,7 @@ def _check(scene: ClothScene, takes: list[RenderVariant], lamps: list[Lamp], sup
 
 
 def _add_lamps(sums, scene, takes, lamps, samples: Fragments, shadows: bool, tally: _Tally) -> None:
-    """Add what the lamps make the samples send to the eye to sums (takes, pixels, 3)."""
+    """Add the lamps' light reflected by the samples to the eye to sums (takes, pixels, 3)."""
     tally.samples += len(samples.pixel)
     tally.bent += samples.bent
     for number, lamp in enumerate(lamps):
@@ -149,7 +149,7 @@ def _add_lamps(sums, scene, takes, lamps, samples: Fragments, shadows: bool, tal
 
 
 def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, samples: np.ndarray):
-    """Each BRDF at the distinct samples among those wanted, (m, 3) each, and their places there (n,).
+    """Evaluate each BRDF at the distinct samples, (m, 3) each; return these and the samples' places there (n,).
 
     Portions are shared among threads: models are compiled or array code, which lets others run beside it.
     """
@@ -169,7 +169,7 @@ def _values(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray, sampl
 
 
 def _add_around(sums, takes, samples: Fragments, surroundings: Surroundings) -> None:
-    """Add the light from around to sums (takes, pixels, 3)."""
+    """Add the ambient light to sums (takes, pixels, 3)."""
     for material in range(max(len(take.materials) for take in takes)):
         rows = np.flatnonzero(samples.material == material)
         lit_takes = [k for k, take in enumerate(takes) if take.around and material < len(take.materials)]
@@ -186,14 +186,14 @@ def _add_around(sums, takes, samples: Fragments, surroundings: Surroundings) -> 
 
 
 def around(target, *, elevation: float, azimuth: float, distance: float) -> np.ndarray:
-    """Place (3,) about a target: azimuth from z (to the viewer) towards x (right), elevation above the floor."""
+    """Compute a place (3,) about a target: azimuth from z (to the viewer) to x (right), elevation above the floor."""
     level = np.cos(elevation)
     towards = np.array([level * np.sin(azimuth), np.sin(elevation), level * np.cos(azimuth)])
     return np.asarray(target, np.float64) + distance * towards
 
 
 MARGIN = 1.18
-"""Around what a studio shows, so much is its picture larger."""
+"""Ratio of a studio's picture to the extent of its content."""
 
 
 def framed(
@@ -224,7 +224,7 @@ def framed(
 
 
 class Viewpoint(NamedTuple):
-    """A camera's angles about what it shows, radians, its distance in extents of that, and its pixels."""
+    """A camera's angles about its target, radians, its distance in extents of the target, and its pixels."""
 
     elevation: float
     azimuth: float
@@ -235,7 +235,7 @@ class Viewpoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Lighting:
-    """A lamp as the camera sees it, radians; colour (3,): linear sRGB of white paper that faces it."""
+    """A lamp relative to the camera, radians; colour (3,): linear sRGB of white paper that faces it."""
 
     elevation: float
     azimuth: float
@@ -262,7 +262,7 @@ class Studio:
     paper: Matte | None
 
     def turned(self, angle: float) -> "Studio":
-        """Return the cloth turned about the vertical, radians: seen from a camera that went round it with its lamps.
+        """Rotate the cloth about the vertical, radians: as if the camera went round it with its lamps.
 
         The paper must look the same from all sides (wall=False).
         """
@@ -275,16 +275,16 @@ class Studio:
         return replace(self, camera=camera, azimuth=azimuth, lamps=lamps)
 
     def lit_from(self, angle: float) -> "Studio":
-        """Return the lamps turned about the vertical."""
+        """Rotate the lamps about the vertical."""
         return replace(self, lamps=tuple(light.lamp(self.azimuth + angle) for light in self.lights))
 
     def take(self, brdf: Brdf, lamps: tuple[float, ...] | None = None) -> RenderVariant:
-        """Return the cloth of a BRDF under the lamps with these factors; all lamps in full where none are given."""
+        """Return the variant of a BRDF under the lamps with these factors; all lamps in full where none are given."""
         materials = (brdf,) if self.paper is None else (brdf, self.paper)
         return RenderVariant(materials, tuple(1.0 for _ in self.lamps) if lamps is None else lamps)
 
     def render(self, takes: list[RenderVariant], *, supersampling: int, shadows: bool = True) -> list[ClothPicture]:
-        """See `frame.render`."""
+        """Render the scene, see `frame.render`."""
         return render(
             self.scene, takes, list(self.lamps), self.camera, surroundings=self.surroundings,
             supersampling=supersampling, shadows=shadows,
@@ -301,7 +301,7 @@ def studio(
     wall: bool = True,
     margin: float = MARGIN,
 ) -> Studio:
-    """Return surfaces of cloth with their lowest point on the floor, before a camera that holds them in its picture.
+    """Place surfaces of cloth with their lowest point on the floor, before a camera that frames them.
 
     level: radiance of the room above, a third of it below; reflectance: of the paper, 0 for none; wall: whether the
     paper rises behind. Lamps and paper turn with the camera's azimuth. The scene's unit is that of the surfaces.
@@ -331,13 +331,13 @@ def paper_below(points: np.ndarray, *, azimuth: float, wall: bool = True) -> Sur
 
 
 def moved(surface: Surface, by: np.ndarray) -> Surface:
-    """Return the surface shifted by a vector (3,)."""
+    """Shift the surface by a vector (3,)."""
     mesh = surface.mesh
     return replace(surface, mesh=Mesh(mesh.vertices + by, mesh.triangles, mesh.normals))
 
 
 def tubes() -> list[Surface]:
-    """Return three upright cylinders of the cloth side by side: warp upright, oblique, and around."""
+    """Make three upright cylinders of the cloth side by side: warp upright, oblique, and around."""
     radius, height, gap = 0.11, 0.42, 0.07
     return [
         cylinder(radius, height, centre=((k - 1) * (2 * radius + gap), 0.0, 0.0), turn=-turn)
@@ -346,7 +346,7 @@ def tubes() -> list[Surface]:
 
 
 def linear_colour(code: str) -> tuple[float, float, float]:
-    """Return linear sRGB of #rrggbb, IEC 61966-2-1."""
+    """Convert #rrggbb to linear sRGB, IEC 61966-2-1."""
     coded = np.array([int(code[k : k + 2], 16) for k in (1, 3, 5)]) / 255
     red, green, blue = decode(coded, "srgb").tolist()
     return red, green, blue

@@ -1,4 +1,4 @@
-"""Surfaces to be covered with cloth, and the direction of the weft at their vertices."""
+"""Make surfaces to be covered with cloth, and the direction of the weft at their vertices."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,7 @@ from nishiki.render.cloth.scene import Surface
 def transported(
     count: int, triangles: np.ndarray, normals: np.ndarray, weft: np.ndarray, known: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Return unit tangents (count, 3) at all vertices, and at how many of them they are arbitrary.
+    """Compute unit tangents (count, 3) at all vertices, and the number of vertices at which they are arbitrary.
 
     Between two vertices a tangent is carried by the smallest rotation that takes one normal to the other. Unknown
     tangents, as complex numbers in each vertex's own frame, are those that differ least, squared and summed over the
@@ -78,7 +78,7 @@ def _flattest(normals: np.ndarray) -> np.ndarray:
 
 
 def _rescued(values: np.ndarray, free: np.ndarray, gather) -> np.ndarray:
-    """Values of next to no length replaced by the strongest neighbour's, until none are left or nothing helps."""
+    """Replace values of nearly no length by the strongest neighbour's, until none are left or nothing helps."""
     values = values.copy()
     for _ in range(8):
         weak = free[np.abs(values[free]) < 1e-9]
@@ -111,7 +111,7 @@ class TangentField:
 def from_texture(
     vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, uv: np.ndarray, *, turn: float = 0.0
 ) -> TangentField:
-    """Weft along u: texture coordinates (v, 2), u along the weft, v along the warp.
+    """Compute the weft along u from texture coordinates (v, 2), u along the weft, v along the warp.
 
     In every triangle the surface's gradients of u and v are solved for; the weft is the direction that halves the error
     where u and v are not at right angles on the surface (cloth shears): the normalised sum of dP/du and of dP/dv turned
@@ -143,7 +143,7 @@ def from_texture(
 def from_direction(
     vertices: np.ndarray, triangles: np.ndarray, normals: np.ndarray, direction: np.ndarray, *, turn: float = 0.0
 ) -> TangentField:
-    """Return weft along a direction (3,), or one for every vertex (v, 3), made orthogonal to the normals.
+    """Compute the weft along a direction (3,), or one for every vertex (v, 3), made orthogonal to the normals.
 
     Where the direction is parallel to the normal, zero or not finite, the weft is transported from the neighbours.
     """
@@ -153,7 +153,7 @@ def from_direction(
 
 
 def _settled(vertices, triangles, normals, given: np.ndarray, turn: float) -> TangentField:
-    """Directions (v, 3) of about unit length made tangential; transported where nothing is left of them; turned."""
+    """Project directions (v, 3) of about unit length to tangents; transport them where nothing is left; rotate them."""
     normals = unit(np.asarray(normals, np.float64))
     across = given - np.sum(given * normals, axis=1, keepdims=True) * normals
     length = np.linalg.norm(across, axis=1)
@@ -167,7 +167,7 @@ def _settled(vertices, triangles, normals, given: np.ndarray, turn: float) -> Ta
 
 
 def _gathered(directions: np.ndarray, weights: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
-    """Return mean direction (count, 3) at the vertices of the triangles' (f, 3), by weight; unit length or 0."""
+    """Average the triangles' directions (f, 3) by weight at the vertices (count, 3); unit length or 0."""
     sums = np.zeros((count, 3))
     for axis in range(3):
         for k in range(3):
@@ -178,18 +178,18 @@ def _gathered(directions: np.ndarray, weights: np.ndarray, triangles: np.ndarray
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Return scale vectors (..., 3) to length 1; 0 stays 0."""
+    """Scale vectors (..., 3) to length 1; 0 stays 0."""
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.where(length > 0, vectors / np.where(length > 0, length, 1), 0.0)
 
 
 FILE = Path(__file__).with_name("draped_cloth.npz")
 STEP = 2e-6
-"""Metres; it turns no normal of the smooth surface by more than 0.05 degrees."""
+"""Length in metres; it turns no normal of the smooth surface by more than 0.05 degrees."""
 
 
 def read_drape(path: Path = FILE) -> np.ndarray:
-    """Read a square of cloth that fell over a ball: points (n, n, 3) in metres, [i, j] at weft i and warp j, y up.
+    """Read a square of cloth draped over a ball: points (n, n, 3) in metres, [i, j] at weft i and warp j, y up.
 
     `benchmarks/draped_cloth.py` made the shipped file: extended position-based dynamics (Macklin et al. 2016 and
     2019) of a sheet of 250 g/m2 and 1 m over a ball of 16 cm on the floor y = 0.
@@ -240,7 +240,7 @@ def sheet(points: np.ndarray, *, side: int | None = None) -> tuple[Surface, np.n
 
 
 def cylinder(radius: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float = 0.0) -> Surface:
-    """Return an upright tube of cloth, its weft around, its warp upwards; turn: radians from weft to warp."""
+    """Make an upright tube of cloth, its weft around, its warp upwards; turn: radians from weft to warp."""
     angle, rise = np.linspace(0, 2 * np.pi, 193), np.linspace(-0.5, 0.5, 33)
     a, y = np.meshgrid(angle, rise, indexing="ij")
     across = np.stack([np.sin(a), np.zeros_like(a), np.cos(a)], axis=2).reshape(-1, 3)
@@ -252,7 +252,7 @@ def cylinder(radius: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: floa
 
 
 def swatch(width: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float = 0.0) -> Surface:
-    """Return a flat rectangle that faces z, weft to the right."""
+    """Make a flat rectangle that faces z, weft to the right."""
     x, y = np.meshgrid(np.linspace(-0.5, 0.5, 9) * width, np.linspace(-0.5, 0.5, 9) * height, indexing="ij")
     place = np.stack([x, y, 0 * x], axis=2).reshape(-1, 3) + np.asarray(centre, float)
     normals = np.tile(np.array([0, 0, 1], np.float32), (len(place), 1))
@@ -261,7 +261,7 @@ def swatch(width: float, height: float, *, centre=(0.0, 0.0, 0.0), turn: float =
 
 
 def paper(width: float, depth: float, height: float, bend: float, *, turn: float = 0.0) -> Surface:
-    """Return a studio's seamless paper: a floor y = 0 that reaches `depth` back and front, bent up into a wall behind.
+    """Make a studio's seamless paper: a floor y = 0 that reaches `depth` back and front, bent up into a wall behind.
 
     bend: radius of the bend. turn: azimuth of the camera about the vertical, so that the wall stands behind the scene.
     """

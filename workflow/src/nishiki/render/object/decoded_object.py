@@ -1,4 +1,4 @@
-"""Opening a decoded object from the artifacts of the stages, ready to be rendered."""
+"""Open a decoded object from the artifacts of the stages for rendering."""
 
 import json
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ from nishiki.render.object.renderer import ObjectRenderer
 
 @dataclass(frozen=True)
 class DecodedObject:
-    """Everything that the renderer of one object needs, and the names of its views and lights."""
+    """Input of the renderer of one object, and the names of its views and lights."""
 
     mesh: Mesh
     atlas: Atlas
@@ -38,7 +38,7 @@ class DecodedObject:
 
     @classmethod
     def open(cls, inputs: Mapping[str, Artifact]) -> "DecodedObject":
-        """From the artifacts of cameras, mesh, texels, reflection and residual; ingest gives the ceiling alone."""
+        """Open the artifacts of cameras, mesh, texels, reflection and residual; ingest gives the ceiling alone."""
         texels = Texels(inputs["texels"].folder)
         lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
         atlas = texels.atlas
@@ -75,7 +75,7 @@ class DecodedObject:
         return ObjectRenderer(self, (mesh, geometry), **options)
 
     def numbers(self, names) -> frozenset[int]:
-        """Return places of named views in the order of the turn; UserError for a name that is not there."""
+        """Return places of named views in the order of the turn; UserError for unknown names."""
         return frozenset(self.number(name) for name in names)
 
     def number(self, name: str) -> int:

@@ -1,4 +1,4 @@
-"""Between texels and pixels: sorting by tile, bilinear look-up, the rim of the silhouette, what captured views see."""
+"""Transfer texels to pixels: sorting by tile, bilinear look-up, rim of the silhouette, visibility in captured views."""
 
 import threading
 from collections import OrderedDict
@@ -23,7 +23,7 @@ def by_tile(tile: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def asked_for(s: np.ndarray, t: np.ndarray, order: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """List the texels that some pixels look up, in a tile of size x size.
+    """List the texels used by some pixels, in a tile of size x size.
 
     s, t (n,): rows and columns of all pixels, order: those of this tile.  Returns chosen (m,) int64, flat numbers of
     the texels, and place (size * size,) int32: where each stands in `chosen`, -1 where it is not asked for.
@@ -40,7 +40,7 @@ def asked_for(s: np.ndarray, t: np.ndarray, order: np.ndarray, size: int) -> tup
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def look_up(texels, place, size, s, t, order, out):
-    """Bilinear look-up among the chosen texels (m, channels) float32 of a tile, for the pixels `order`.
+    """Sample the chosen texels (m, channels) float32 of a tile bilinearly, for the pixels `order`.
 
     place (size * size,): as of `asked_for`; out (n, channels) gets the values.
     Coordinates beyond the tile are taken at its border.
@@ -74,7 +74,7 @@ def mix(residual: np.ndarray, visible: np.ndarray, weights: np.ndarray) -> np.nd
 
 
 def extend(values: np.ndarray, covered: np.ndarray, *, rings: int) -> np.ndarray:
-    """Carry values (rows, columns, channels) float32 on beyond the covered pixels by `rings` pixels.
+    """Extrapolate values (rows, columns, channels) float32 beyond the covered pixels by `rings` pixels.
 
     In place; reached (rows, columns) bool: covered or filled.
 
@@ -111,7 +111,7 @@ _TOLERANCE_PX = 1.5
 
 
 class DepthMaps:
-    """Depth of the surface in the captured views, the deepest of 3 x 3 pixels; the most recent maps are kept."""
+    """Depth of the surface in the captured views, the deepest of 3 x 3 pixels; only the most recent maps are stored."""
 
     def __init__(self, mesh: Mesh):
         self.mesh = mesh
@@ -119,7 +119,7 @@ class DepthMaps:
         self._lock = threading.Lock()
 
     def prepare(self, cameras: list[Camera]) -> None:
-        """Make the maps of these cameras and keep at least them."""
+        """Make the maps of these cameras and store at least them."""
         names = {camera.name for camera in cameras}
         import cv2
 
@@ -133,7 +133,7 @@ class DepthMaps:
             self._maps.popitem(last=False)
 
     def visible(self, positions: np.ndarray, normals: np.ndarray, camera: Camera) -> np.ndarray:
-        """Judge how well a camera sees points (..., 3): 0 hidden, 1 well, between where steeper than `STEEP`.
+        """Compute how well a camera sees points (..., 3): 0 hidden, 1 well, between where steeper than `STEEP`.
 
         A point passes where it lies no deeper than the deepest of the 3 x 3 depths around its pixel, plus what the
         slope of the surface makes of 1.5 pixels.

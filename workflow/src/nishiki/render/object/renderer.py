@@ -1,4 +1,4 @@
-"""Pictures of a decoded object: captured views, views between them, sums of lights (Miyazaki et al. 2007, eq. 12-16).
+"""Render a decoded object: captured views, views between them, sums of lights (Miyazaki et al. 2007, eq. 12-16).
 
 The value of a pixel is a bilinear look-up, at the surface point behind its centre, among texels of
 
@@ -101,16 +101,16 @@ class ObjectRenderer:
         return make_tree(self.mesh.vertices, self.mesh.triangles)
 
     def captured(self, index: int, *, light: int = 0) -> Shot:
-        """Make the picture of a captured view from its own slot of the residual."""
+        """Render a captured view from its own slot of the residual."""
         slot = Neighbours(np.array([index]), np.ones(1))
         return Shot(self.cameras[index], slot, ((light, 1.0),), captured=index)
 
     def predicted(self, index: int, *, light: int = 0) -> Shot:
-        """Return the picture of a captured view without its own residual: interpolated between the other views."""
+        """Render a captured view without its own residual: interpolated between the other views."""
         return self._shot(self.cameras[index], float(self.turn.position[index]), light, self.without | {index})
 
     def between(self, index: int, fraction: float, *, scale: Callable | None = None) -> Shot:
-        """Make a picture `fraction` of the way from captured view `index` to the next; scale(camera): another size."""
+        """Render a picture `fraction` of the way from captured view `index` to the next; scale(camera): other size."""
         camera = camera_between(self.cameras, self.turn, index, fraction)
         position = self.turn.locate(index, fraction)
         return self._shot(scale(camera) if scale else camera, position, 0, self.without)
@@ -177,7 +177,7 @@ class ObjectRenderer:
                 look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k])
 
     def _texels(self, prepared: Prepared, place: int, flat: DecodedTile, chosen: np.ndarray) -> np.ndarray:
-        """(m, channels) float32: chosen texels of a tile as this camera sees them under one lamp, encoded.
+        """Compute (m, channels) float32: chosen texels of a tile for this camera under one lamp, encoded.
 
         place: of the light among those of the shot.
         """
@@ -200,7 +200,7 @@ class ObjectRenderer:
         return coded + (lent[0] if len(views) == 1 else mix(lent, np.stack(seen), weights))
 
     def _modelled(self, flat: DecodedTile, chosen: np.ndarray, camera: Camera, lamp) -> np.ndarray:
-        """(m, channels) float32: the model at chosen texels of a tile, encoded."""
+        """Evaluate the model (m, channels) float32 at chosen texels of a tile, encoded."""
         kd, ks, sigma = (values[chosen] for values in flat.parameters)
         diffuse, gloss = predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen], camera.centre, lamp)
         return encode(diffuse + gloss, self.encoding)
@@ -230,7 +230,7 @@ class ObjectRenderer:
         return coded * lit[:, None] + np.where(total > 1e-6, 1, 0)[:, None] * mix(np.array(lent), seen, weights)
 
     def _lit(self, lamp: ViewLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """(m,) float32: 1 where a lamp sees points, 0 where the surface is between; fitted lighting has no shadows."""
+        """Compute (m,) float32: 1 at points lit by a lamp, 0 in its cast shadow; fitted lighting has no shadows."""
         if lamp.form == ENVIRONMENT:
             return np.ones(len(positions), np.float32)
         lit, near = np.zeros(len(positions), np.float32), lamp.form == POINT
@@ -249,7 +249,7 @@ class ObjectRenderer:
         return found[0], found[1].astype(np.uint8)
 
     def _tile(self, tile: int) -> DecodedTile:
-        """Return a tile's decoded parameters and residual and its geometry; the most recent ones are kept."""
+        """Return a tile's decoded parameters and residual and its geometry; cache the most recent ones."""
         with self._lock:
             if tile in self._cache:
                 self._cache.move_to_end(tile)
@@ -309,7 +309,7 @@ BAND_PIXELS = 1 << 22
 
 
 def coverage(mesh: Mesh, camera: Camera, *, samples: int = 3) -> np.ndarray:
-    """(rows, columns) float32 in 0..1: part of each pixel that shows the surface, by samples x samples points."""
+    """Compute each pixel's part covered by the surface, (rows, columns) float32, by samples x samples points."""
     fine = scaled(camera, samples)
     out = np.empty((camera.rows, camera.columns), np.float32)
     height = max(1, BAND_PIXELS // (fine.columns * samples))
@@ -321,21 +321,21 @@ def coverage(mesh: Mesh, camera: Camera, *, samples: int = 3) -> np.ndarray:
 
 
 def block_mean(values: np.ndarray, size: int) -> np.ndarray:
-    """(rows * size, columns * size, n) -> (rows, columns, n): mean of square blocks; what does not fill one is cut."""
+    """Average square blocks, (rows * size, columns * size, n) -> (rows, columns, n); incomplete blocks are cut."""
     rows, columns = values.shape[0] // size, values.shape[1] // size
     blocks = values[: rows * size, : columns * size].reshape(rows, size, columns, size, -1)
     return blocks.mean(axis=(1, 3), dtype=np.float32)
 
 
 def reduced(linear: np.ndarray, covered: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean of each block, where samples that are not covered count as black, and the covered part of it."""
+    """Average each block, where samples that are not covered count as black; return its covered part too."""
     part = block_mean(covered[..., None].astype(np.float32), size)
     sums = block_mean(np.where(covered[..., None], linear, np.float32(0)), size)
     return sums, part[..., 0]
 
 
 def places(views: int, frames_per_step: int, *, closed: bool) -> list[tuple[int, float]]:
-    """(view, fraction of the way to the next) of each frame: once round, or there and back where the turn is open."""
+    """List (view, fraction of the way to the next) of each frame: once round, or there and back in an open turn."""
     steps = views if closed else views - 1
     forth = [(k // frames_per_step, k % frames_per_step / frames_per_step) for k in range(steps * frames_per_step)]
     if closed or views < 2:

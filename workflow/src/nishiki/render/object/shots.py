@@ -1,4 +1,4 @@
-"""What a picture of an object asks for: a camera, captured views with their weights, or lamps of one's own.
+"""Describe a picture of an object: a camera, captured views with their weights, or lamps chosen by the user.
 
 Lamps of one's own stand in the lamp frame of the camera (x right, y up, z to the camera) and turn with it, as those of
 a capture do. Of N points p_k on a lamp's disc, evenly spread,
@@ -24,7 +24,7 @@ from nishiki.geometry.visibility import Raster, RayTree, cast, disc_points, make
 
 @dataclass(frozen=True)
 class Neighbours:
-    """views (n,) int: captured views that take part, and their weights (n,) float64, which sum to 1."""
+    """views (n,) int: contributing captured views, and their weights (n,) float64, which sum to 1."""
 
     views: np.ndarray
     weights: np.ndarray
@@ -92,7 +92,7 @@ def lit_by(shot: Shot, lights: tuple[tuple[int, float], ...]) -> Shot:
 
 @dataclass
 class Prepared:
-    """A shot whose pixels are sorted by the tiles they look into."""
+    """A shot whose pixels are sorted by their tiles."""
 
     shot: Shot
     raster: Raster
@@ -123,7 +123,7 @@ class DecodedTile:
 
 
 LIFT = 0.25
-"""Rays start this far above the surface, in median edges of the mesh. Normals are smooth and triangles flat: without it
+"""Offset of rays above the surface, in median edges of the mesh. Normals are smooth and triangles flat: without it
 triangles that lie a little turned away from the lamp would be in their neighbours' shadow. What is smaller than an edge
 the mesh does not show, so that no shadow of it is lost."""
 
@@ -149,7 +149,7 @@ class FreeLamp:
 
 @dataclass(frozen=True)
 class FreeLighting:
-    """Lamps of one's own; around: even light; shadows: cast ones; rays: to points of each lamp's disc, 1 if none."""
+    """Lamps set by the user; around: even light; shadows: cast ones; rays: to points of each lamp's disc, 1 if none."""
 
     lamps: tuple[FreeLamp, ...]
     around: float = 0.0
@@ -158,19 +158,19 @@ class FreeLighting:
 
 
 def ball_around(mesh: Mesh) -> tuple[np.ndarray, float]:
-    """Return middle (3,) of a mesh's box, and distance from it to the farthest vertex."""
+    """Compute the middle (3,) of a mesh's box, and the distance from it to the farthest vertex."""
     centre = 0.5 * (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0))
     return centre, float(np.linalg.norm(mesh.vertices - centre, axis=1).max())
 
 
 def shadow_lift(mesh: Mesh) -> float:
-    """Return height above the surface at which rays start, in the mesh's unit; see `LIFT`."""
+    """Compute the offset of rays above the surface, in the mesh's unit; see `LIFT`."""
     corners = mesh.vertices[mesh.triangles]
     return LIFT * float(np.median(np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)))
 
 
 class LitObject:
-    """A mesh under lamps of one's own."""
+    """A mesh under lamps chosen by the user."""
 
     def __init__(self, mesh: Mesh, lighting: FreeLighting):
         self.mesh, self.lighting = mesh, lighting
@@ -179,11 +179,11 @@ class LitObject:
 
     @cached_property
     def tree(self) -> RayTree:
-        """Of the whole mesh, for shadows."""
+        """Tree of the whole mesh, for shadows."""
         return make_tree(self.mesh.vertices, self.mesh.triangles)
 
     def seen_by(self, camera: Camera) -> "LampsInView":
-        """Return the lamps as they stand when the object is seen from a camera."""
+        """Return the lamps in the frame of a camera that views the object."""
         return LampsInView(self, TO_LAMP_FRAME @ camera.rotation, camera.centre)
 
 
@@ -208,7 +208,7 @@ class LampsInView:
         return diffuse, specular
 
     def visible(self, lamp: FreeLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """(n,) float32 in 0..1: share of a lamp's disc that points (n, 3) see; 0 where they face away from it."""
+        """Compute (n,) float32 in 0..1: share of a lamp's disc visible from points (n, 3); 0 where they face away."""
         lit, lighting = self.lit, self.lit.lighting
         out = np.ones(len(positions), np.float32)
         if not lighting.shadows:
@@ -228,7 +228,7 @@ class LampsInView:
         return out
 
     def _disc(self, lamp: FreeLamp, count: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return middle (3,) and points (count, 3) of a lamp's disc, in the object's frame, or unit directions."""
+        """Compute middle (3,) and points (count, 3) of a lamp's disc, in the object's frame, or unit directions."""
         towards = self.rotation.T @ lamp.towards
         first = np.cross((1.0, 0, 0) if abs(towards[0]) < 0.6 else (0, 1.0, 0), towards)
         first /= np.linalg.norm(first)

@@ -1,4 +1,4 @@
-"""One picture of a plane scene: what its samples see of the maps, cast shadows, shading, and the mean over each pixel.
+"""Render one picture of a plane scene: samples of the maps, cast shadows, shading, and the mean over each pixel.
 
 Ray casting to a rectangle in space is a homography, for a pinhole camera as for the frontal view: one 3 x 3 matrix
 takes (column, row, 1) of the screen to the plane, another takes the plane to the maps. The relief moves no pixel
@@ -29,7 +29,7 @@ from nishiki.render.plane.shade import (
 
 
 def screen_to_plane(view: View, scene: PlaneScene) -> np.ndarray:
-    """(3, 3): (column, row, 1) of the screen to (x, y, 1) w on the plane z = 0; w > 0 where the ray meets it in front.
+    """Compute (3, 3): (column, row, 1) of the screen to (x, y, 1) w on the plane z = 0; w > 0 for hits in front.
 
     Without an eye the painting is fitted into the screen, square pixels, centred.
     """
@@ -44,12 +44,12 @@ def screen_to_plane(view: View, scene: PlaneScene) -> np.ndarray:
 
 
 def screen_shape(view: View, scene: PlaneScene) -> tuple[int, int]:
-    """(rows, columns) of the picture."""
+    """Return (rows, columns) of the picture."""
     return scene.shape if view.rows is None else (view.rows, require(view.columns))
 
 
 def footprint(to_map: np.ndarray, first: int, last: int, columns: int, shape: tuple[int, int]) -> tuple[float, float]:
-    """Largest steps on the maps, in their pixels, from one screen row and one screen column to the next.
+    """Compute the largest steps on the maps, in their pixels, between neighbouring screen rows and columns.
 
     Over the screen rows first .. last - 1, where the painting is in sight; (0, 0) where it is not.  No step is longer
     than the painting: towards the horizon the steps grow without bound.
@@ -86,7 +86,7 @@ class MapSamples:
 def sample_maps(
     scene: PlaneScene, visibility: np.ndarray | None, to_map: np.ndarray, shape: tuple, extent: tuple
 ) -> MapSamples:
-    """Bilinear samples at to_map . (column, row, 1), normals renormalised: the shading comes after.
+    """Sample bilinearly at to_map . (column, row, 1), normals renormalised: the shading comes after.
 
     extent: (rows, columns) of the painting in pixels of the maps, where averaging in blocks rounded their number up.
     A missing normal among the four neighbours is left out; where half of the weight is missing, so is the sample.
@@ -177,7 +177,7 @@ _SAMPLES_AT_ONCE = 1 << 19  # bounds the memory of a band of the screen
 
 @dataclass(frozen=True)
 class Rendering:
-    """A picture and what there is to know about it."""
+    """A picture and its facts."""
 
     xyz: np.ndarray  # (rows, columns, 3) float32, linear, Y = 1 for a perfect white that faces a lamp of intensity 1
     # (rows, columns) uint8, bits of `nishiki.render.plane.kernel`; a pixel made of several samples carries
@@ -246,7 +246,7 @@ def _count(step: tuple[float, float], reduction: int) -> float:
 
 @dataclass(frozen=True)
 class _Painter:
-    """What every band of the screen needs."""
+    """Common data of all bands of the screen."""
 
     maps: PlaneScene
     visibility: np.ndarray | None
@@ -259,7 +259,7 @@ class _Painter:
     extent: tuple  # (rows, columns) of the painting in pixels of the maps
 
     def band(self, first: int, shape: tuple, minimum: int, maximum: int) -> tuple[int, int, int]:
-        """(end of the band, samples across, samples down) for a band that begins at screen row `first`."""
+        """Choose (end of the band, samples across, samples down) for a band that begins at screen row `first`."""
         rows, columns = shape[:2]
         height = min(16, rows - first)
         while True:
@@ -321,7 +321,7 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
 
 
 def _resolve(shading: Shading, inside: np.ndarray, across: int, down: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Average the samples of each pixel; unusable samples (missing normal or colour, overflow) are left out.
+    """Average the samples of each pixel; unusable samples (missing normal or colour, overflow) are omitted.
 
     Returns XYZ (rows, columns, 3), flags and coverage (rows, columns) of the pixels, each down x across samples.
     """

@@ -20,7 +20,7 @@ from nishiki.lanes import LANES, choose, load, root, splat, store
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _disc_share(elevation, horizon, radius):
-    """Share of a disc of angular `radius` centred at `elevation` above a straight horizon (angles, radians)."""
+    """Compute the share of a disc of angular `radius` at `elevation` above a straight horizon (angles, radians)."""
     if radius <= 0.0:
         return 1.0 if elevation > horizon else 0.0
     d = (elevation - horizon) / radius
@@ -184,11 +184,11 @@ UNUSABLE = NORMAL_MISSING | COLOUR_MISSING | OVERFLOW  # the pixel is 0
 
 
 NX, NY, NZ, A, B, D, EX, EY, XX, XY, YY, X, Y, INDEX, LOSS, ENTER, VISIBLE, COS_R, GLOSS = range(19)
-"""Rows of what is gathered of the pixels: normal, terms of the body shading, covariance of the slopes, place on the
+"""Rows of the gathered pixel data: normal, terms of the body shading, covariance of the slopes, place on the
 plane, gloss of the region, share of the lamp in sight, cosine of the eye; from GLOSS on beta, 1 / gamma^2 of each lobe.
 """
 NEGLIGIBLE = 60.0
-"""Facet distributions below 2 to the minus this count as 0."""
+"""Exponent: facet distributions below 2 to the minus this count as 0."""
 # Mean of x^8 over a uniform half space, weighted by the cosine, for a facet that faces the eye: 4 int (2u - 1) u^4 du
 # for u from 1/2 to 1.
 _AMBIENT_SKIRT = 4 * ((1 - 0.5**6) / 3 - (1 - 0.5**5) / 5)
@@ -213,7 +213,7 @@ def _towards(source, pixel):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _transmitted(cosine, pixel):
-    """Compute what the surface passes of the body's light, relative to frontal."""
+    """Compute the body's light transmitted by the surface, relative to frontal."""
     cosine, index = choose(cosine > 1e-6, choose(cosine < 1.0, cosine, 1.0), 1e-6), load(pixel, (INDEX, 0))
     passed = (1.0 - fresnel_scalar(cosine, index)) / (1.0 - fresnel_scalar(splat(1.0), index))
     return 1.0 - load(pixel, (LOSS, 0)) * (1.0 - passed)
@@ -288,7 +288,7 @@ def _gather_gloss(row, start, labels, finish, pixel):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _store(row, start, total, sigma, pixel, marks, pictures):
-    """Totals to float32; what does not fit there, and what rests on missing input, becomes 0 (its flag says why)."""
+    """Store totals as float32; overflows, and values from missing input, become 0 (their flag gives the reason)."""
     out, flags = pictures
     for i in range(min(LANES, out.shape[1] - start)):
         mark, fits = marks[i], True

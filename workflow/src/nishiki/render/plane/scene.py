@@ -1,4 +1,4 @@
-"""What a picture of a plane scene is made from: the maps of the object, its gloss, lamps, ambient light and the view.
+"""Describe a plane scene: the maps of the object, its gloss, lamps, ambient light and the view.
 
 The painting is the rectangle z = 0 with its centre at the origin, x to the right, y up, z towards the viewer, lengths
 in the unit of `pitch` (mm in captures that state a scale).  Row 0 of every map is the top.  Values are relative to the
@@ -69,14 +69,14 @@ class Light:
         _level("intensity of a light", self.intensity)
 
     def homogeneous(self) -> np.ndarray:
-        """(4,): unit direction and 0, or position and 1, so that the vector to the lamp from p is xyz - w p."""
+        """Return (4,): unit direction and 0, or position and 1, so that the vector to the lamp from p is xyz - w p."""
         if self.position_mm is not None:
             return np.append(np.asarray(self.position_mm, dtype=np.float64), 1.0)
         direction = np.asarray(self.direction, dtype=np.float64)
         return np.append(direction / np.linalg.norm(direction), 0.0)
 
     def central_direction(self) -> np.ndarray:
-        """(3,): unit vector from the centre of the painting to the lamp."""
+        """Compute (3,): unit vector from the centre of the painting to the lamp."""
         vector = self.homogeneous()[:3]
         return vector / np.linalg.norm(vector)
 
@@ -98,7 +98,7 @@ class Ambient:
 
 @dataclass(frozen=True)
 class View:
-    """Who looks: without an eye the frontal orthographic view, with one a pinhole camera."""
+    """Viewpoint: without an eye the frontal orthographic view, with one a pinhole camera."""
 
     # eye_mm, target_mm: (3,) in the unit of the pitch from the centre of the painting, eye with z > 0
     eye_mm: tuple | None = None
@@ -166,7 +166,7 @@ class Gloss:
 
     @classmethod
     def none(cls) -> "Gloss":
-        """Return a matte surface: no specular term is computed."""
+        """Make a matte surface: no specular term is computed."""
         return cls(np.zeros((1, 1)), np.ones((1, 1)), np.ones(1))
 
 

@@ -1,4 +1,4 @@
-"""Shading of a plane scene under lamps: maps in, pictures in linear XYZ or in the channels of a camera out.
+"""Shade a plane scene under lamps: maps in, pictures in linear XYZ or in the channels of a camera out.
 
 The prediction is in the camera's own channels and relative to the white board, as ingest delivers observations:
 I' = albedo c f + beta D F G / cos_r with c = max(n . l, 0) and the factor f of the body shading (1: Lambert), so that
@@ -61,7 +61,7 @@ def cast_shadows(height: np.ndarray, lights: list[Light], *, pitch: float, march
 
 
 def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.ndarray:
-    """Return visibility (rows, columns) of a lamp at infinity; the same lines from either side."""
+    """Compute the visibility (rows, columns) of a lamp at infinity; the same lines from either side."""
     x, y, z = light.central_direction()
     elevation = float(np.arctan2(z, np.hypot(x, y)))
     azimuth = np.arctan2(y, x)
@@ -128,7 +128,7 @@ class ColourGroups:
 
 @dataclass(frozen=True)
 class Shading:
-    """Values of the pixels before any background is put behind them."""
+    """Values of the pixels before compositing with a background."""
 
     # (rows, columns, channels) float32, linear; a perfect white that faces a lamp of intensity 1 has the value 1
     values: np.ndarray
@@ -136,7 +136,7 @@ class Shading:
 
 
 def colour_groups(scene: PlaneScene, lights: list[Light], ambient: Ambient) -> ColourGroups:
-    """Return 3 x K matrices, to XYZ, of the distinct spectra of lights and ambient (Tominaga and Tanaka 2004, eq. 19).
+    """Compute 3 x K matrices, to XYZ, of the distinct spectra of lights and ambient (Tominaga and Tanaka 2004, eq. 19).
 
     Without a spectral basis, linear sRGB goes to XYZ (white point D65), then by Bradford's adaptation to the white of
     the lamp, a stand-in for spectra that are not known: an adapted eye sees no change.
@@ -209,7 +209,7 @@ def shade_channels(
     eye: np.ndarray = FRONTAL_EYE,
     ambient_level: float = 0.0,
 ) -> Shading:
-    """Shade any output channels: `groups` says how coefficients become values."""
+    """Shade any output channels: `groups` converts coefficients to values."""
     normals, coefficients, gloss, shading, slopes, labels = maps
     if not lights and ambient_level == 0:
         raise UserError("lights: expected at least one light or an ambient level above 0, found neither; add a light")
@@ -243,20 +243,20 @@ def shade_channels(
 
 
 def pixel_to_plane(pitch: float, shape: tuple[int, int]) -> np.ndarray:
-    """(3, 3): (column, row, 1) of maps (rows, columns) to (x, y, 1) on the painting; (0, 0) at its centre, y up."""
+    """Return the 3 x 3 map of (column, row, 1) of maps (rows, columns) to (x, y, 1) on the painting; centre 0, y up."""
     left, top = -(shape[1] - 1) / 2, (shape[0] - 1) / 2
     return np.array([[pitch, 0, pitch * left], [0, -pitch, pitch * top], [0, 0, 1]], dtype=np.float64)
 
 
 def _lamp(light: Light) -> np.ndarray:
-    """(6,): homogeneous vector to the lamp, intensity, squared distance at which it holds (0: no fall-off)."""
+    """Return (6,): homogeneous vector to the lamp, intensity, squared distance at which it holds (0: no fall-off)."""
     vector = light.homogeneous()
     reference2 = float(vector[:3] @ vector[:3]) if light.falloff else 0.0
     return np.concatenate([vector, [light.intensity, reference2]])
 
 
 def entering(gloss: Gloss) -> np.ndarray:
-    """Return (regions,) what the surface lets in of light from all sides, relative to frontal: 2 int T(c) c dc."""
+    """Compute (regions,) transmission of light from all sides, relative to frontal: 2 int T(c) c dc."""
     nodes, weights = np.polynomial.legendre.leggauss(48)
     cosine = (nodes + 1) / 2
     mean = [weights @ (cosine * transmittance(cosine, index)) for index in gloss.refractive_index]

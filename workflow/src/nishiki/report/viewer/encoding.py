@@ -1,4 +1,4 @@
-"""Codes of 8 bits for the maps of a painting: what the viewer's textures hold, chosen so that an eye sees their steps.
+"""Encode the maps of a painting in 8 bits for the viewer's textures, in steps of even visibility.
 
 Reflectance. With Y the luminance of a pixel's reflectance under daylight and sigma its coefficients,
 
@@ -26,23 +26,23 @@ from nishiki.colour.colour import illuminant, white_xyz, xyz_matrix
 TOP = 255  # largest code
 EVEN_TOP = TOP - 1  # of tilts, so that none has a code
 LAMPS = ("D65", "A", "F2", "F11")
-"""Under which colours have to be right."""
+"""Lamps under which colours have to be right."""
 BAND_SHARE = 0.02
-"""Weight of a spectrum's own squared difference, relative to that of what is seen of it: metameric parts are kept."""
+"""Weight of a spectrum's own squared difference, relative to its visible difference: metameric parts are kept."""
 LEAST_LUMINANCE = 1e-5  # of a white
 SEEN = 0.25
-"""Of a step: principal axes along which values spread by less are left out."""
+"""Smallest spread of values in steps; principal axes with less are omitted."""
 BRIGHT = 98
-"""Percentile of the luminance that is shown as 0.8 of white: steps are those of the picture at that exposure."""
+"""Percentile of the luminance displayed as 0.8 of white: steps are those of the picture at that exposure."""
 FARTHEST = 99.95
-"""Percentile of a plane's values up to which its code reaches."""
+"""Percentile of a plane's values covered by its code."""
 DIRECTIONS = ((0.0, 0.0), (45.0, 0.0), (45.0, 90.0), (45.0, 180.0), (45.0, 270.0), (75.0, 45.0), (75.0, 225.0))
-"""Polar angle and azimuth in degrees of the lights by which body shadings are compared."""
+"""Polar angle and azimuth in degrees of the lights for comparing body shadings."""
 
 
 @dataclass(frozen=True)
 class Steps:
-    """Hold the steps of the codes.
+    """Steps of the codes.
 
     Of colour in CIELAB, of small tilts in s (the angle is twice as large), of the body shading as a share of the light.
     """
@@ -52,7 +52,7 @@ class Steps:
     shading: float
 
     def scaled(self, colour: float) -> "Steps":
-        """Return all in the proportion that gives this step of colour."""
+        """Scale all steps in the proportion that gives this step of colour."""
         factor = colour / self.colour
         return Steps(colour, self.tilt * factor, self.shading * factor)
 
@@ -66,7 +66,7 @@ class PlaneCode:
 
     @classmethod
     def over(cls, values: np.ndarray, step: float) -> "PlaneCode":
-        """Return a code of this step, or of a wider one where the values (n,) need it, that is centred on them."""
+        """Return a code of this step, or of a wider one where the values (n,) require it, centred on them."""
         low, high = np.percentile(values, (100 - FARTHEST, FARTHEST)) if values.size else (0.0, 0.0)
         half = max(float(high - low), step * TOP) / 2
         return cls(float(low + high) / 2 - half, float(low + high) / 2 + half)
@@ -87,7 +87,7 @@ class PrincipalCode:
 
     @classmethod
     def of(cls, vectors: np.ndarray, features: np.ndarray, step: float) -> "PrincipalCode":
-        """Fit to vectors (samples, n); features (n, m): what is seen of them. Axes below `SEEN` steps are dropped."""
+        """Fit to vectors (samples, n); features (n, m): their visible effect. Axes below `SEEN` steps are dropped."""
         mean = vectors.mean(axis=0)
         root = np.linalg.cholesky(
             features @ features.T + 1e-12 * np.trace(features @ features.T) * np.eye(len(features))
@@ -112,7 +112,7 @@ class PrincipalCode:
         return PrincipalCode(self.mean, self.components[::-1], self.projections[:, ::-1], self.planes[::-1])
 
     def described(self) -> dict[str, Any]:
-        """For the manifest."""
+        """Return the parameters for the manifest."""
         return {
             "mean": self.mean.tolist(),
             "components": self.components.tolist(),
@@ -164,12 +164,12 @@ class ColourCode:
         return [self.lightness.encode(u), *self.chroma.encode(rest)]
 
     def described(self) -> dict[str, Any]:
-        """For the manifest."""
+        """Return the parameters for the manifest."""
         return {"direction": self.direction.tolist(), "top": self.lightness.high, **self.chroma.described()}
 
 
 def colour_matrices(basis: np.ndarray | None, channels_to_xyz: np.ndarray) -> list[np.ndarray]:
-    """(3, K) of each of `LAMPS`, relative to its white; channels_to_xyz: (3, 3), used where there is no basis."""
+    """Compute matrices (3, K) of `LAMPS`, relative to their whites; channels_to_xyz: (3, 3), used without a basis."""
     if basis is None:
         return [channels_to_xyz / white_xyz(illuminant("D65"))[:, None]]
     spectra = [illuminant(name) for name in LAMPS]
@@ -200,7 +200,7 @@ class NormalCode:
         return [codes[..., 0], codes[..., 1]]
 
     def described(self) -> dict[str, Any]:
-        """For the manifest."""
+        """Return the parameters for the manifest."""
         return {"width": self.width, "fineness": self.fineness}
 
 
@@ -209,7 +209,7 @@ def _stereographic(normals: np.ndarray) -> np.ndarray:
 
 
 def shading_features(terms: int) -> np.ndarray:
-    """(terms, directions): what each term of the body shading gives at `DIRECTIONS` for a facet that faces the eye."""
+    """Compute (terms, directions): each term of the body shading at `DIRECTIONS` for a facet that faces the eye."""
     polar, azimuth = np.radians(np.array(DIRECTIONS)).T
     cosine, half = np.cos(polar), np.cos(polar / 2)
     across = np.sin(polar) * np.array([np.cos(azimuth), np.sin(azimuth)])

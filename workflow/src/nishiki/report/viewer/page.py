@@ -1,4 +1,4 @@
-"""The page of a viewer: its modules, manifest and blocks of data, beside it or inside it."""
+"""Write the page of a viewer: its modules, manifest and blocks of data, beside it or inside it."""
 
 import base64
 import json
@@ -15,11 +15,11 @@ from nishiki.artifacts.provenance import modules_of
 
 PAGE = Path(__file__).parent / "page"
 ESCAPED = ((b"\\", b"\\\\"), (b'"', b'\\"'), (b"\n", b"\\n"), (b"\r", b"\\r"))
-"""What no text between quotes may hold, the sign of the escape first."""
+"""Characters forbidden in quoted text, the sign of the escape first."""
 
 
 class Blocks:
-    """Blocks of data by name: kept while all together are small, otherwise written as scripts beside the page."""
+    """Blocks of data by name: inlined while all together are small, otherwise written as scripts beside the page."""
 
     def __init__(self, output: ArtifactWriter, *, inline_bytes: int):
         self.output = output
@@ -82,13 +82,13 @@ def write_page(blocks: Blocks, manifest: dict[str, Any], entry: Path) -> dict[st
 
 
 def _script_json(value: Any) -> str:
-    """Return JSON that no content can end the script element of."""
+    """Write JSON in which no content can end the script element."""
     text = json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c")
 
 
 def webp(planes: list[np.ndarray]) -> bytes:
-    """Return a lossless WebP of three planes (rows, columns) uint8."""
+    """Encode a lossless WebP of three planes (rows, columns) uint8."""
     import cv2
 
     picture = np.stack(planes[::-1], axis=-1)  # OpenCV keeps blue first
@@ -96,7 +96,7 @@ def webp(planes: list[np.ndarray]) -> bytes:
 
 
 def webp_stack(planes: list[np.ndarray]) -> bytes:
-    """Planes (rows, columns) uint8, three to a lossless WebP; before each its length, four bytes, the lowest first.
+    """Encode planes (rows, columns) uint8, three to a lossless WebP; before each its length, four bytes, lowest first.
 
     The last picture is filled up with zeros.
     """
@@ -110,12 +110,12 @@ def webp_stack(planes: list[np.ndarray]) -> bytes:
 
 
 def pack_arrays(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Named arrays as bytes that `unpackArrays` of the page reads.
+    """Pack named arrays into bytes for `unpackArrays` of the page.
 
     Parameters
     ----------
     arrays : mapping of str to numpy.ndarray
-        Of type int8 to int32, uint8 to uint32 or float32.
+        Arrays of type int8 to int32, uint8 to uint32 or float32.
 
     Returns
     -------

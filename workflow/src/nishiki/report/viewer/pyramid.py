@@ -1,4 +1,4 @@
-"""Maps of the viewer in tiles, each level a quarter of the resolution, and the heights that cast its shadows.
+"""Write maps of the viewer in tiles, each level a quarter of the resolution, and the heights for its shadows.
 
 Memory holds the rows of one row of tiles of each level, never a whole map. A tile has a border of its neighbours'
 pixels, so that it can be interpolated by itself.
@@ -17,14 +17,14 @@ from nishiki.threads import strips
 TILE, BORDER = 512, 4
 """Side of a tile and width of its border, pixels: the border is that of two steps of mean pixels."""
 FACTOR = 4
-"""From one level to the next. In between a browser averages the codes of a tile, so that the levels above cost a
+"""Reduction from level to level. In between a browser averages the codes of a tile, so that the levels above cost a
 fifteenth of the bytes instead of a third."""
 
 Emit = Callable[[int, int, int, np.ndarray], None]
 
 
 class Pyramid:
-    """Takes rows of maps and gives tiles to `emit(level, tile row, tile column, values)`.
+    """Builder of tiles from rows of maps; calls `emit(level, tile row, tile column, values)`.
 
     values : (TILE + 2 BORDER, TILE + 2 BORDER, fields) float32; beyond the edges of the map its last pixels are
     repeated. The first field is the share of a pixel that is known, and the last the number of its region; the others
@@ -74,7 +74,7 @@ class Pyramid:
 
 
 def halved(values: np.ndarray) -> np.ndarray:
-    """Return means over 2 x 2 pixels of the fields of (rows, columns, fields), weighted by the first field.
+    """Average 2 x 2 pixels of the fields of (rows, columns, fields), weighted by the first field.
 
     The first field is the certainty of each; the last is taken from the pixel after the middle.
     """
@@ -109,7 +109,7 @@ def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 NOTHING = np.iinfo(np.int16).min  # code of no height
 STEPS = 65000  # of 16 bits
 THRESHOLDS = (0, 1, 2, 3, 4, 6, 8, 11, 16, 22, 32, 45, 64, 90, 128, 180, 256, 360)
-"""Largest activities of the streams but the last."""
+"""Largest activities of each stream but the last."""
 MOST = np.iinfo(np.uint8).max  # byte of an error that needs two
 PLANE = (256, -256, 0, 0, 0)
 """Weights of W + N - NW."""
@@ -118,7 +118,7 @@ PLANE = (256, -256, 0, 0, 0)
 def height_block(
     read: Callable[[slice], np.ndarray], shape: tuple[int, int], pitch: float, most_pixels: int, least_step: float
 ) -> tuple[bytes, dict[str, Any]]:
-    """Block of a height map for page/shadow_worker.js, 16 bits without loss, and what a reader has to know of it.
+    """Encode a height map for page/shadow_worker.js, 16 bits without loss; return the block and its description.
 
     A code is predicted from its neighbours to the left (W, WW) and above (N, NW, NE, NN),
 
@@ -154,7 +154,7 @@ def height_block(
 
 
 def encode(codes: np.ndarray) -> tuple[bytes, dict[str, list[int]]]:
-    """Return block of codes (rows, columns) int16, and the weights and thresholds that a reader needs."""
+    """Encode codes (rows, columns) int16; return the block, and the weights and thresholds for a reader."""
     weights = _fitted_weights(codes)
     padded = np.zeros((codes.shape[0] + 1, codes.shape[1] + 2), np.uint8)  # bytes, with nothing beside the map
     large = []
@@ -187,7 +187,7 @@ def _neighbours(codes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _fitted_weights(codes: np.ndarray) -> tuple[int, ...]:
-    """Return least-squares weights of the neighbours, in 256ths; those of a plane where they predict better."""
+    """Fit least-squares weights of the neighbours, in 256ths; return those of a plane where they predict better."""
     if min(codes.shape) < 8:
         return PLANE
     bands = [codes[first : first + 3] for first in range(0, len(codes) - 2, max(3, len(codes) // 256))]
@@ -207,7 +207,7 @@ def _fitted_weights(codes: np.ndarray) -> tuple[int, ...]:
 
 
 def _errors(codes: np.ndarray, weights: tuple[int, ...]) -> np.ndarray:
-    """(rows, columns) uint16 z of all pixels; those of the first two rows as if they were the first of the map."""
+    """Compute (rows, columns) uint16 z of all pixels; the first two rows as if they were the first of the map."""
     predicted = np.zeros(codes.shape, np.int32)
     predicted[1:, 0] = codes[:-1, 0]
     predicted[:, 1:] = codes[:, :-1]
@@ -219,6 +219,6 @@ def _errors(codes: np.ndarray, weights: tuple[int, ...]) -> np.ndarray:
 
 
 def _deflated(data: bytes) -> bytes:
-    """Return a zlib stream, with or without a search for repetitions, whichever is shorter."""
+    """Compress to a zlib stream, with or without a search for repetitions, whichever is shorter."""
     coder = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_HUFFMAN_ONLY)
     return min(coder.compress(data) + coder.flush(), zlib.compress(data, 6), key=len)

@@ -22,7 +22,7 @@ from nishiki.threads import over_rows
 
 
 def weave_pattern(weave: str, harness: int, step: int, *, face: str = "warp") -> np.ndarray:
-    """(harness, harness) bool, row = weft yarn, column = warp yarn: True where the warp lies on top.
+    """Return (harness, harness) bool, row = weft yarn, column = warp yarn: True where the warp lies on top.
 
     plain : alternating. twill : the warp passes under one weft yarn a repeat, one place on with each yarn. satin : the
     same with a step that leaves no two bindings side by side; step and harness have no common factor. face : the yarns
@@ -47,7 +47,7 @@ SAMPLES = 96  # a crossing
 
 @dataclass(frozen=True)
 class Descent:
-    """Describe the way from one side to the other.
+    """The way from one side to the other.
 
     Two arcs of angle `angle` (radians) and `radius`, and between them a straight part of length `straight`; width along
     the cloth, height from extreme to extreme. Lengths in mm.
@@ -61,7 +61,7 @@ class Descent:
 
 
 def make_descent(*, width: float, height: float, bend: float) -> Descent:
-    """bend 0: no arcs, straight from corner to corner; 1: arcs only.
+    """Make a descent. bend 0: no arcs, straight from corner to corner; 1: arcs only.
 
     2R sin θ + l cos θ = width and 2R(1 − cos θ) + l sin θ = height give R = (width − height/tan θ)/(2 tan(θ/2)).
     """
@@ -73,7 +73,7 @@ def make_descent(*, width: float, height: float, bend: float) -> Descent:
 
 
 def fall(descent: Descent, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Height (+height/2 .. −height/2) and slope at s along the cloth, measured from the middle of the descent."""
+    """Compute height (+height/2 .. −height/2) and slope at s along the cloth, measured from the descent's middle."""
     half, r = 0.5 * descent.width, descent.radius
     u = np.clip(half - np.abs(s), 0.0, None)  # from the nearer end
     on_arc = u < r * math.sin(descent.angle)
@@ -86,7 +86,7 @@ def fall(descent: Descent, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def centre_line(on_top: np.ndarray, *, spacing: float, amplitude: float, bend: float, rest: float, arch: float):
-    """Height and slope (crossings · SAMPLES,) of the centre line over one period, and the descent that it is made of.
+    """Compute height and slope (crossings · SAMPLES,) of the centre line over a period, and the descent that it uses.
 
     on_top : (crossings,) bool, periodic. spacing : of the crossed yarns, mm. amplitude : height above the middle at a
     crossing, mm. rest : share of the spacing on which the yarn lies level. arch : steepest slope of the float's arch.
@@ -126,7 +126,7 @@ _BISECTIONS = 14  # halvings of a spacing
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _knots(along, length, yarn, system, numbers):
-    """Where the two samples of a path about a place begin in `numbers`, and the share of the second."""
+    """Find where the two samples of a path about a place begin in `numbers`, and the share of the second."""
     samples = int(numbers[system + 1])
     place = along / length * samples
     low = math.floor(place)
@@ -161,7 +161,7 @@ def _in_yarn(v, along, z, spacing, length, system, numbers):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def inside(x, y, z, numbers):
-    """0 where (x, y, z) lies in no yarn, 1 + k in warp yarn k, −1 − k in weft yarn k."""
+    """Return 0 where (x, y, z) lies in no yarn, 1 + k in warp yarn k, −1 − k in weft yarn k."""
     k = _in_yarn(x, y, z, numbers[0], numbers[11] * numbers[1], 5, numbers)
     if k >= 0:
         return 1 + k
@@ -171,7 +171,7 @@ def inside(x, y, z, numbers):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _free_at(x, y, z, numbers, free):
-    """Distance (mm) that is free of yarns about a point between the lowest and the highest z."""
+    """Look up the distance (mm) that is free of yarns about a point between the lowest and the highest z."""
     k = int((z - numbers[2]) / (numbers[3] - numbers[2]) * free.shape[0])
     if k < 0 or k >= free.shape[0]:
         return 0.0
@@ -182,7 +182,7 @@ def _free_at(x, y, z, numbers, free):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def first_hit(x, y, z, dx, dy, dz, numbers, free):
-    """Distance along a unit direction to the first yarn, and which (see `inside`); (−1, 0) where the ray meets none.
+    """Find the distance along a unit direction to the first yarn, and which (see `inside`); (−1, 0) if it meets none.
 
     Where yarns may be near, even steps of 0.12 thicknesses and a bisection: a chord shorter than a step may be missed,
     which is a penetration of less than 0.002 thicknesses.
@@ -219,7 +219,7 @@ def first_hit(x, y, z, dx, dy, dz, numbers, free):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def escapes(x, y, z, dx, dy, dz, numbers, free):
-    """Whether the ray from a point in a unit direction with dz > 0 leaves the cloth."""
+    """Check whether the ray from a point in a unit direction with dz > 0 leaves the cloth."""
     high, step = numbers[3], numbers[4]
     while z <= high:
         ahead = _free_at(x, y, z, numbers, free)
@@ -233,7 +233,7 @@ def escapes(x, y, z, dx, dy, dz, numbers, free):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _yarn_frame(v, along, z, spacing, length, system, numbers):
-    """Outward normal, not normalised (sideways, along, up), and slope of the yarn at a point of its surface."""
+    """Compute outward normal, not normalised (sideways, along, up), and slope of the yarn at a point of its surface."""
     slot, count = math.floor(v / spacing), int(numbers[system])
     yarn = slot - count * math.floor(slot / count)
     shape = int(numbers[system + 3]) + 3 * yarn
@@ -276,7 +276,7 @@ def turned_frame(x, y, z, which, numbers, twist, f):
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def fill_voxels(start, stop, sizes, numbers, empty):
-    """1 where the centre of a voxel (z, y, x) of these sizes lies in no yarn, for the layers start .. stop."""
+    """Set 1 where the centre of a voxel (z, y, x) of these sizes lies in no yarn, for the layers start .. stop."""
     for k in range(start, stop):
         z = numbers[2] + (k + 0.5) * sizes[0]
         for j in range(empty.shape[1]):
@@ -290,7 +290,7 @@ _ACROSS, _UP = 20, 28  # voxels a yarn, and in the cloth's height, of the map of
 
 @dataclass(frozen=True)
 class Yarns:
-    """Describe the yarns of one system.
+    """The yarns of one system.
 
     spacing, length (a period along the yarn) in mm. shape : (yarns, 3) offset of the centre line sideways, half width
     a, half thickness b. path : (yarns, samples, 4) height of the centre line, its slope, roll (shear of the section)
@@ -308,7 +308,7 @@ class Yarns:
 
 @dataclass(frozen=True)
 class Solids:
-    """Describe both systems."""
+    """Both systems of yarns."""
 
     warp: Yarns
     weft: Yarns
@@ -317,12 +317,12 @@ class Solids:
 
     @property
     def area(self) -> float:
-        """Of the cell on the plane, mm²."""
+        """Area of the cell on the plane, mm²."""
         return self.warp.length * self.weft.length
 
     @property
     def numbers(self) -> np.ndarray:
-        """What the compiled functions need beside `free`, in one row: see `_pack`."""
+        """Arguments of the compiled functions beside `free`, in one row: see `_pack`."""
         return _pack(self.warp, self.weft)
 
 
@@ -418,7 +418,7 @@ def _system(settings: ClothSettings, yarn: YarnSettings, crossed: float, on_top,
 
 
 def _waves(random, count: int, samples: int, length: float) -> np.ndarray:
-    """(2, count, samples, 2) smooth periodic curves of variance about 1, and their slopes: a mean and two waves."""
+    """Draw smooth periodic curves of variance about 1 and their slopes (2, count, samples, 2): a mean and two waves."""
     t = 2.0 * math.pi * np.arange(samples) / samples
     amplitude, phase = random.standard_normal((2, count, 3)), random.uniform(0.0, 2.0 * math.pi, (2, count, 3))
     curve = np.repeat(amplitude[..., :1, None], samples, axis=2)[..., 0] * 0.7

@@ -36,7 +36,7 @@ _SAMPLES = 24  # a pixel
 
 @dataclass(frozen=True)
 class Shot:
-    """Hold one photograph.
+    """One photograph.
 
     row of the session's angles, codes (rows, columns, channels) uint16, exposure in seconds, and the noise-free
     reflectances (cloths, channels) in 1/sr.
@@ -49,7 +49,7 @@ class Shot:
 
 
 def photographs(cloths: tuple[Cloth, ...], settings: GoniometerSettings) -> Iterator[Shot]:
-    """All photographs of the session, not in its order: those that share their rays come together."""
+    """Yield all photographs of the session, not in its order: those that share their rays come together."""
     angles = settings.angles_deg
     incident, outgoing = unit(angles[:, 0], angles[:, 1]), unit(angles[:, 2], angles[:, 3])
     for parts in zip(*(blocks(cloth, incident, outgoing) for cloth in cloths), strict=True):
@@ -128,7 +128,7 @@ def exposure_for(light: np.ndarray, settings: GoniometerSettings) -> float:
 
 
 def white_board(number: int, theta_i_deg: float, settings: GoniometerSettings) -> tuple[np.ndarray, float]:
-    """Codes and exposure of the matt board under one lamp. Its reflectance varies a little from place to place."""
+    """Photograph the matt board under one lamp: codes, exposure. Its reflectance varies a little with the place."""
     random = np.random.default_rng(subkey(settings.seed, "cloth board"))
     texture = 1.0 + settings.white_texture * random.standard_normal((settings.rows, settings.columns, 1))
     cosine = math.cos(math.radians(theta_i_deg))
@@ -156,7 +156,7 @@ def settings_from(options) -> GoniometerSettings:
 
 
 def write_all(settings: GoniometerSettings, capture: Path, truth: Path, options, report) -> None:
-    """Both folders; report(text) tells the progress."""
+    """Write both folders; report(text) prints the progress."""
     quality = {name: getattr(settings, name) for name in ("candidates", "chains", "bounces")}
     cloths = tuple(make_cloth(cloth, **quality) for cloth in settings.cloths)
     report(f"cloth: {sum(len(cloth.points.area) for cloth in cloths)} points")
@@ -188,7 +188,7 @@ def write_all(settings: GoniometerSettings, capture: Path, truth: Path, options,
 
 
 def describe_capture(capture: Path, settings: GoniometerSettings) -> None:
-    """capture.yaml, and the label picture of two cloths."""
+    """Write capture.yaml, and the label picture of two cloths."""
     cloth = settings.cloths[0]
     block = {
         "white_reflectance": settings.white_reflectance,
@@ -217,7 +217,7 @@ def frame_row(file: str, role: str, angles_deg, exposure_s: float | None) -> tup
 
 
 def geometry(cloth: Cloth) -> dict:
-    """Contents of a geometry file of the truth folder: settings, and how the yarns were laid."""
+    """Return the contents of a geometry file of the truth folder: settings, and the layout of the yarns."""
     systems = {}
     for name, yarns in (("warp", cloth.solids.warp), ("weft", cloth.solids.weft)):
         way = yarns.descent

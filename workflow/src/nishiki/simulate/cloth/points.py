@@ -26,7 +26,7 @@ _LIFT = 2e-3  # of the spacing: rays start so far above the surface
 
 @dataclass(frozen=True)
 class SurfacePoints:
-    """Hold points of the surface."""
+    """Points of the yarns' surface."""
 
     place: np.ndarray  # (n, 3) mm, a little above the surface
     frame: np.ndarray  # (n, 6) normal and filament direction
@@ -35,7 +35,7 @@ class SurfacePoints:
 
 
 def make_points(solids: Solids, settings: ClothSettings, *, candidates: int) -> SurfacePoints:
-    """Points chosen among `candidates` that are spread evenly over all sides of all yarns.
+    """Choose points among `candidates` that are spread evenly over all sides of all yarns.
 
     What the lowest of 40 directions reaches, at the tops, is all that light at grazing angles meets, and is little: all
     its points are kept, of others one in 2 or 3, which then stands for the area of as many. Points that no direction
@@ -69,7 +69,7 @@ def make_points(solids: Solids, settings: ClothSettings, *, candidates: int) -> 
 
 
 def probes() -> np.ndarray:
-    """(40, 3) directions: rings of 8 azimuths, the lowest first; each second ring is turned by half a step."""
+    """Return directions (40, 3): rings of 8 azimuths, the lowest first; each second ring is turned by half a step."""
     rings = []
     for number, level in enumerate(np.radians(_LEVELS_DEG)):
         turn = 2.0 * math.pi / _AZIMUTHS * (np.arange(_AZIMUTHS) + 0.5 * (number % 2))
@@ -79,7 +79,7 @@ def probes() -> np.ndarray:
 
 
 def _contour(exponent: float, shape: np.ndarray, steps: int = 720):
-    """(u, ζ) round a section, finely, with the length (mm) from the start, and the whole length."""
+    """Trace (u, ζ) round a section, finely, with the length (mm) from the start, and the whole length."""
     angle = np.linspace(0.0, 2.0 * math.pi, steps + 1)
     u = np.cos(angle)
     zeta = np.sign(np.sin(angle)) * np.sqrt(np.maximum(1.0 - np.abs(u) ** exponent, 0.0))
@@ -89,7 +89,7 @@ def _contour(exponent: float, shape: np.ndarray, steps: int = 720):
 
 
 def _on_yarn(yarns: Yarns, yarn: int, kind: int, count: int, random):
-    """Points (count, 3), areas and `which` (see geometry.inside) of one yarn."""
+    """Compute points (count, 3), areas and `which` (see geometry.inside) of one yarn."""
     contour, length, total = _contour(yarns.exponent, yarns.shape[yarn])
     start = random.uniform(0.0, 1.0, 2)
     index = np.arange(count)
@@ -137,7 +137,7 @@ def _finish(start, stop, place, which, solids, probes, frame, level):
 
 @dataclass(frozen=True)
 class Ends:
-    """Hold one end of each chain."""
+    """One end of each chain."""
 
     point: np.ndarray  # (n,) which of the surface points it is, -1 = none
     place: np.ndarray  # (n, 3) mm
@@ -148,7 +148,7 @@ class Ends:
 
 @dataclass(frozen=True)
 class Chains:
-    """Hold random walks."""
+    """Random walks."""
 
     first: Ends  # first, last: both ends
     last: Ends

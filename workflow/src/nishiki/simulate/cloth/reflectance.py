@@ -1,4 +1,4 @@
-"""BRDF of a simulated cloth: which points light and camera reach, by rays among the yarns, and what these reflect.
+"""Compute the BRDF of a simulated cloth: points that light and camera reach, by rays among yarns, and their reflection.
 
 ρ(i, o) = 1/(A cosθ_i cosθ_o) ∫ V(i) V(o) (n·i)⁺ (n·o)⁺ f(i, o) dS over the yarns' surface above an area A, and the same
 over paths that meet the yarns several times. Both parts are symmetric in i and o.
@@ -101,7 +101,7 @@ def _distinct(directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Reach:
-    """Hold the reach of directions (d, 3)."""
+    """The reach of directions (d, 3)."""
 
     directions: np.ndarray
     lit: np.ndarray  # (d, points) float32, n·d where the point is reached, else 0
@@ -130,7 +130,7 @@ def seen_from(cloth: Cloth, directions: np.ndarray) -> Reach:
 
 
 def cell_maps(cloth: Cloth, lamps, views, index: np.ndarray) -> np.ndarray:
-    """BRDF as the camera sees it over one period of the cloth: (pairs, bins in y, bins in x, channels), 1/sr.
+    """Map the BRDF in the camera's view over one period of the cloth: (pairs, bins in y, bins in x, channels), 1/sr.
 
     A point is seen where its line of sight meets the plane z = 0. Light that met the yarns more than once is
     spread evenly. The mean over the bins is the BRDF.

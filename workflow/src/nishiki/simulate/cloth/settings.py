@@ -1,4 +1,4 @@
-"""Cloths and sessions: what they are made of, by name, checked when they are made."""
+"""Declare the settings of cloths and sessions, by name, checked when they are made."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -76,7 +76,7 @@ def unit(theta_deg, phi_deg) -> np.ndarray:
 
 
 def quarter_views(polar_step: float = 3.0, azimuth_step: float = 5.0) -> np.ndarray:
-    """(n, 2) polar angle and azimuth in degrees of views under normal incidence, in the quarter between weft and warp.
+    """List views (n, 2) under normal incidence in the quarter between weft and warp: polar angle, azimuth in degrees.
 
     Rings below 87°, both planes of symmetry included, the normal once; the ring at 87° every third azimuth. With the
     default steps 540 views.
@@ -90,7 +90,7 @@ def quarter_views(polar_step: float = 3.0, azimuth_step: float = 5.0) -> np.ndar
 
 
 def hemisphere_views(polar_step: float = 6.0, azimuth_step: float = 15.0) -> np.ndarray:
-    """(n, 2) degrees: the whole hemisphere, rings in the middle of equal steps of the polar angle (3°, 9° .. 87°)."""
+    """List views (n, 2), degrees, of the whole hemisphere: rings in the middle of equal polar steps (3°, 9° .. 87°)."""
     theta, phi = np.meshgrid(
         np.arange(0.5 * polar_step, 90.0, polar_step), np.arange(0.0, 360.0, azimuth_step), indexing="ij"
     )
@@ -98,7 +98,7 @@ def hemisphere_views(polar_step: float = 6.0, azimuth_step: float = 15.0) -> np.
 
 
 def session(normal: np.ndarray, oblique: np.ndarray, *, incidences=OBLIQUE_DEG, azimuths=AZIMUTHS_DEG) -> np.ndarray:
-    """(n, 4) theta_i, phi_i, theta_r, phi_r in degrees: views under normal incidence, then those of every lamp."""
+    """List (n, 4) theta_i, phi_i, theta_r, phi_r in degrees: views under normal incidence, then those of every lamp."""
     rows = [np.column_stack([np.zeros((len(normal), 2)), normal])]
     for phi in azimuths:
         for theta in incidences:

@@ -42,7 +42,7 @@ class Strokes:
 def place_strokes(
     plan: CanvasMap, palette: Palette, layer: int, *, pitch_mm: float, scale: float, ridge: float, seed: int
 ) -> Strokes:
-    """Strokes of one layer on a jittered grid, in random order, each with the paint that the plan has at its centre.
+    """Place strokes of one layer on a jittered grid, in random order, each with the paint of the plan at its centre.
 
     scale : size of the brushes (1 for a picture about 80 mm high). ridge : 0 = thin paint, 1 = impasto.
     """
@@ -82,7 +82,7 @@ def place_strokes(
 
 @numba.njit(cache=True)
 def stroke_profile(along, across, length_to_width, ridge, key):
-    """Coverage (0..1) and thickness (relative) of a stroke at `along` (0 start .. 1 end) and `across` (−1 .. 1).
+    """Compute coverage (0..1), thickness (relative) of a stroke at `along` (0 start .. 1 end) and `across` (−1 .. 1).
 
     Bristles leave furrows along the stroke; paint is pushed into ridges at both sides and at the end; towards the end
     the brush runs dry and the furrows open.
@@ -164,7 +164,7 @@ PICTURE_HEIGHT_MM = 77.0  # the brushes were chosen for a picture of this height
 
 @dataclass(frozen=True)
 class SimulatedObject:
-    """Samples are finer than camera pixels by the supersampling s."""
+    """A simulated object. Samples are finer than camera pixels by the supersampling s."""
 
     height_mm: np.ndarray  # (rows·s, columns·s) float32
     label: np.ndarray  # (rows·s, columns·s) uint8, paint of each sample
@@ -227,7 +227,7 @@ def _painting(settings, palette):
 
 
 def _blossoms(settings, palette, scale, ridge):
-    """Five thick petals a blossom, scattered along the branches."""
+    """Place five thick petals a blossom, scattered along the branches."""
     random = np.random.default_rng(subkey(settings.seed, "blossoms"))
     height_mm = settings.rows * settings.pitch_mm
     centres = []

@@ -100,12 +100,12 @@ def make_tables(thing: SimulatedObject, settings: SimulationSettings, *, with_tr
 
 
 def true_spectra(settings: SimulationSettings) -> np.ndarray:
-    """Reflectance (labels, 61) of every paint at 400, 405 .. 700 nm."""
+    """Compute the reflectance (labels, 61) of every paint at 400, 405 .. 700 nm."""
     return make_palette(WAVELENGTHS_NM, alpha=settings.alpha, seed=settings.seed).spectra
 
 
 def bands(settings: SimulationSettings) -> Iterator[slice]:
-    """Row slices in which the pictures are computed; they bound the memory and do not change a byte."""
+    """Yield the row slices in which the pictures are computed; they bound the memory and do not change a byte."""
     for start in range(0, settings.rows, _BAND_ROWS):
         yield slice(start, min(start + _BAND_ROWS, settings.rows))
 
@@ -137,7 +137,7 @@ def photograph(thing: SimulatedObject, lamp: LampPose, settings: SimulationSetti
 
 
 def white_board(lamp: LampPose, settings: SimulationSettings, tables: Tables) -> np.ndarray:
-    """Codes (rows, columns, channels) of the flat, matt white board in the place of the object under one lamp."""
+    """Photograph the flat, matt white board in the object's place under one lamp: codes (rows, columns, channels)."""
     codes = np.empty((settings.rows, settings.columns, settings.camera.channels), np.uint16)
     key = subkey(settings.seed, f"noise white {lamp.name}")
     for rows in bands(settings):
@@ -178,7 +178,7 @@ def settings_from(options) -> SimulationSettings:
 
 
 def write_all(settings: SimulationSettings, capture: Path, truth: Path, options, report) -> None:
-    """Both folders; report(text) tells the progress."""
+    """Write both folders; report(text) prints the progress."""
     thing = make_object(settings)
     report(f"object: {settings.rows}×{settings.columns} pixels, relief {thing.ceiling_mm:.2f} mm")
     lamps = place_lamps(settings)
@@ -206,7 +206,7 @@ def write_all(settings: SimulationSettings, capture: Path, truth: Path, options,
 
 
 def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[LampPose, ...], *, directions: bool) -> None:
-    """capture.yaml, the lamps (directions, or positions in mm), and the spectra, 380 to 780 nm every 5 nm."""
+    """Write capture.yaml, the lamps (directions, or positions in mm), and the spectra, 380 to 780 nm every 5 nm."""
     if directions:
         lines = [f"{lamp.name} " + " ".join(f"{v:.6f}" for v in lamp.direction) for lamp in lamps]
         (capture / "lights.lp").write_text("\n".join([str(len(lamps)), *lines]) + "\n")
@@ -271,7 +271,7 @@ class PaintingTruth(Truth):
 
 
 def truth_attributes(settings: SimulationSettings, lamps: tuple[LampPose, ...]) -> dict:
-    """Attributes of truth.zarr: names of lights, checks and regions, lamp positions, the settings."""
+    """Return the attributes of truth.zarr: names of lights, checks and regions, lamp positions, the settings."""
     mean, largest = direction_error_deg(settings)
     return {
         "lights": [lamp.name for lamp in lamps],

@@ -14,7 +14,7 @@ from nishiki.threads import strips
 
 @dataclass
 class CanvasMap:
-    """What a painter has in mind, per camera pixel (rows, columns)."""
+    """A painter's plan, per camera pixel (rows, columns)."""
 
     region: np.ndarray  # uint8 index of the paint
     tone: np.ndarray  # float32 0..1 along its ramp
@@ -212,7 +212,7 @@ BRANCHES = (
 
 
 def branch_curve(points, t):
-    """Positions (u, v) on a quadratic Bézier curve at the parameters t."""
+    """Compute positions (u, v) on a quadratic Bézier curve at the parameters t."""
     (x0, y0), (x1, y1), (x2, y2) = points
     s = 1.0 - t
     return s * s * x0 + 2 * s * t * x1 + t * t * x2, s * s * y0 + 2 * s * t * y1 + t * t * y2
@@ -245,7 +245,7 @@ def _branch(plan, u, v, noise):
 
 
 def _hem(plan, u, v, noise):
-    """Overlapping fans (seigaiha) in the brocade's colours, between two lines of gold."""
+    """Paint overlapping fans (seigaiha) in the brocade's colours, between two lines of gold."""
     inside = (v > HEM_TOP) & (v < HEM_BOTTOM)
     if not inside.any():
         return

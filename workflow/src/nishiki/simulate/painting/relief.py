@@ -1,4 +1,4 @@
-"""The height of the painting: canvas weave under paint, slopes, cast shadows, and one bounce of light on it."""
+"""Model the height of the painting: canvas weave under paint, slopes, cast shadows, and one bounce of light on it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ HIDING_MM = 0.20  # paint of this thickness hides the weave to 1/e
 
 
 def weave_under_paint(paint_mm: np.ndarray, *, step_mm: float, scale: float = 1.0) -> np.ndarray:
-    """Height (rows, columns) float32 in mm of canvas with paint of the given thickness on it.
+    """Compute the height (rows, columns) float32 in mm of canvas with paint of the given thickness on it.
 
     step_mm : distance of neighbouring samples. scale : size of the threads, 1 = 1.15 mm apart. Plain weave: warp and
     weft pass over each other in turn; a soft maximum joins their crests.
@@ -41,7 +41,7 @@ def weave_under_paint(paint_mm: np.ndarray, *, step_mm: float, scale: float = 1.
 
 
 def level_out(height_mm: np.ndarray) -> np.ndarray:
-    """One pass of the 3×3 binomial filter: wet paint and varnish round off what is finer than a sample."""
+    """Smooth by one pass of the 3×3 binomial filter: wet paint and varnish round off detail finer than a sample."""
     out = np.empty_like(height_mm)
     quarter, half = np.float32(0.25), np.float32(0.5)
     for band in strips(len(out)):
@@ -54,7 +54,7 @@ def level_out(height_mm: np.ndarray) -> np.ndarray:
 
 
 def slopes_of_rows(height_mm: np.ndarray, start: int, stop: int, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Slopes (dh/dx to the right, dh/dy upwards) of rows start..stop, float64, by central differences.
+    """Compute slopes (dh/dx to the right, dh/dy upwards) of rows start..stop, float64, by central differences.
 
     One-sided at the edges.
     """
@@ -67,7 +67,7 @@ def slopes_of_rows(height_mm: np.ndarray, start: int, stop: int, step_mm: float)
 
 
 def pixel_maps(height_mm: np.ndarray, *, step_mm: float, supersampling: int):
-    """Area averages on camera pixels: normals (rows, columns, 3), height (rows, columns) mm, steepest slope in radians.
+    """Average over camera pixels: normals (rows, columns, 3), height (rows, columns) mm, steepest slope in radians.
 
     The normal of a pixel is the normalised mean of the unit normals of its samples. All float32.
     """
@@ -90,7 +90,7 @@ def pixel_maps(height_mm: np.ndarray, *, step_mm: float, supersampling: int):
 
 @numba.njit(cache=True)
 def horizon_slope(height, i, j, ux, uy, step, ceiling, least):
-    """Largest slope (rise over run) under which sample (i, j) sees the field towards (ux, uy), at least `least`.
+    """Find the largest slope (rise over run) from sample (i, j) to the field towards (ux, uy), at least `least`.
 
     ux, uy : unit direction on the picture, x right, y up. step : mm between samples. ceiling : highest point of the
     field, mm. The march takes one sample distance a step and stops where even the highest point could not rise above
@@ -117,7 +117,7 @@ def horizon_slope(height, i, j, ux, uy, step, ceiling, least):
 
 @numba.njit(cache=True)
 def lit_share(elevation, horizon, radius):
-    """Share of a lamp's disc (angular radius, centre at `elevation`) above a straight edge at `horizon`, radians."""
+    """Compute the share of a lamp's disc (angular radius, centre `elevation`) above an edge at `horizon`, radians."""
     if radius <= 0.0:
         return 1.0 if elevation > horizon else 0.0
     z = (elevation - horizon) / radius
@@ -130,7 +130,7 @@ def lit_share(elevation, horizon, radius):
 
 @numba.njit(cache=True)
 def visible_share(height, i, j, towards, step, ceiling, radius):
-    """Compute the share of the lamp that sample (i, j) sees past the relief; towards: unit direction to its centre."""
+    """Compute the share of the lamp visible from sample (i, j) past the relief; towards: unit vector to its centre."""
     lx, ly, lz = towards
     flat = math.sqrt(lx * lx + ly * ly)
     elevation = math.atan2(lz, flat)
@@ -183,7 +183,7 @@ def _gather(start, stop, surface, irradiance, pitch, rings, out):
 def bounced_irradiance(
     irradiance: np.ndarray, height_mm: np.ndarray, slope_x: np.ndarray, slope_y: np.ndarray, *, pitch_mm: float
 ) -> np.ndarray:
-    """Irradiance (rows, columns) float32 that reaches each pixel from its surroundings if those were perfectly white.
+    """Compute the irradiance (rows, columns) float32 of each pixel from its surroundings, were those perfectly white.
 
     A quadrature of the one-bounce integral on camera pixels: 16 directions, 8 rings, with occlusion by whatever rises
     higher on the way. irradiance : direct, any scale. slope_x, slope_y : dh/dx to the right and dh/dy upwards.
@@ -207,7 +207,7 @@ BODY_SIGMA = 0.20  # roughness of the paint itself, radians (Oren-Nayar)
 
 @dataclass(frozen=True)
 class Shading:
-    """What one lamp does to some rows of the picture, relative to a white diffuser facing the lamp; all float32."""
+    """Shading of some rows of the picture by one lamp, relative to a white diffuser facing the lamp; all float32."""
 
     body: np.ndarray  # (rows, columns, tables) body reflection through each column of the colour table, bounce included
     gloss: np.ndarray  # (rows, columns) mirror reflection, the same at all wavelengths
@@ -288,7 +288,7 @@ def _shade(start, stop, first, maps, paints, grid, lamp, out):
 def shade(
     thing: SimulatedObject, lamp: LampPose, settings: SimulationSettings, *, table, squared, rows: slice | None = None
 ) -> Shading:
-    """Shading of the given rows (all if None).
+    """Shade the given rows (all if None).
 
     table : (labels, tables) weighted reflectance of each paint, 1 for a perfect white; squared : likewise of the
     reflectance squared: bounced light has met the paint twice (the neighbour is taken to carry the same paint).

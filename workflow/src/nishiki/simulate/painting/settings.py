@@ -1,4 +1,4 @@
-"""Paints: invented pigments, the ramps of their mixtures, and what each gives in XYZ.
+"""Define paints: invented pigments, the ramps of their mixtures, and the XYZ of each.
 
 No measured pigment is behind the numbers: they are shapes (edges and bands) that give colours of the kind their names
 suggest. Mixing: Duncan's rule, K and S add by concentration; reflectance of a thick layer: Kubelka & Munk (1931);
@@ -30,7 +30,7 @@ class Pigment:
     exponent: float = 0.5
 
     def absorption(self, wavelengths_nm: np.ndarray) -> np.ndarray:
-        """K at the wavelengths, relative to the scattering of white."""
+        """Compute K at the wavelengths, relative to the scattering of white."""
         total = np.full(wavelengths_nm.shape, self.floor)
         for strength, centre, width in self.edges:
             total += strength / (1.0 + np.exp((wavelengths_nm - centre) / width))
@@ -39,7 +39,7 @@ class Pigment:
         return total
 
     def scatter(self, wavelengths_nm: np.ndarray) -> np.ndarray:
-        """S at the wavelengths; the white has 1 at 550 nm."""
+        """Compute S at the wavelengths; the white has 1 at 550 nm."""
         return self.scattering * (wavelengths_nm / 550.0) ** -self.exponent
 
 
@@ -63,7 +63,7 @@ PIGMENTS = {
 
 
 def mixture(parts: dict[str, float], wavelengths_nm: np.ndarray) -> np.ndarray:
-    """Reflectance (wavelengths,) of a mixture given as pigment name → concentration (any positive scale)."""
+    """Compute the reflectance (wavelengths,) of a mixture of pigment name → concentration (any positive scale)."""
     wavelengths_nm = np.asarray(wavelengths_nm, float)
     total = sum(parts.values())
     absorption, scattering = np.zeros((2, *wavelengths_nm.shape))
@@ -142,7 +142,7 @@ REGION = {name: index for index, name in enumerate(REGIONS)}
 
 @dataclass(frozen=True)
 class Palette:
-    """Hold the paints of a picture.
+    """The paints of a picture.
 
     first, steps : (regions,) first label of a region and how many it has; region : (labels,) region of a label; names :
     (labels,) text; spectra : (labels, wavelengths) reflectance; roughness : (labels,) GGX alpha.
@@ -157,7 +157,7 @@ class Palette:
 
 
 def make_palette(wavelengths_nm: np.ndarray, *, alpha: float, seed: int) -> Palette:
-    """All paints at the given wavelengths; roughness varies by ±20 % between regions and ±5 % within one."""
+    """Make all paints at the given wavelengths; roughness varies by ±20 % between regions and ±5 % within one."""
     steps = np.array([ramp[2] for ramp in _RAMPS.values()])
     first = np.concatenate([[0], np.cumsum(steps)[:-1]])
     region = np.repeat(np.arange(steps.size), steps)
@@ -178,7 +178,7 @@ def make_palette(wavelengths_nm: np.ndarray, *, alpha: float, seed: int) -> Pale
 
 
 def xyz_tables(spectra: np.ndarray, illuminant: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(table (labels, 3), squared, white (3,)): XYZ of spectra (labels, 61) at 400..700/5 nm under an illuminant (61,).
+    """Compute (table (labels, 3), squared, white (3,)): XYZ of spectra (labels, 61), 400..700/5 nm, illuminant (61,).
 
     Y of a perfect white is 1. Plain sums over the 61 bands.
     """
@@ -200,7 +200,7 @@ PRESETS = {"painting": (384, 512), "tiny": (64, 96), "large": (1536, 2048), "ful
 
 @dataclass(frozen=True)
 class LightSettings:
-    """The lamp and where it stands.
+    """The lamp and its positions.
 
     rings, ring_lights : number of rings and of lights in each. top : whether there is a light beside the camera.
     checks_deg : incidence of the check lights. distance_mm : from the centre of the object; None = 80 half diagonals.
@@ -298,7 +298,7 @@ class LampPose:
 
 
 def place_lamps(settings: SimulationSettings) -> tuple[LampPose, ...]:
-    """All lamp positions: the top one, the rings, then the check lights between their azimuths.
+    """Place all lamps: the top one, the rings, then the check lights between their azimuths.
 
     One ring stands at 45° incidence, several are spread evenly from 30° to 60°; like hand-placed lamps each misses its
     place by up to 1.5°. The capture records where it really stood.
@@ -330,14 +330,14 @@ def _lamp(settings, rng, name, role, incidence, azimuth):
 
 
 def plane_coordinates(settings: SimulationSettings, rows: slice) -> tuple[np.ndarray, np.ndarray]:
-    """Positions x (columns,) and y (rows in the slice,) of pixel centres in mm from the centre, y upwards."""
+    """Compute positions x (columns,) and y (rows in the slice,) of pixel centres in mm from the centre, y upwards."""
     x = (np.arange(settings.columns) + 0.5 - 0.5 * settings.columns) * settings.pitch_mm
     y = (0.5 * settings.rows - 0.5 - np.arange(settings.rows)[rows]) * settings.pitch_mm
     return x, y
 
 
 def beam_strength(lamp: LampPose, settings: SimulationSettings, rows: slice) -> np.ndarray:
-    """Irradiance (rows, columns) on a surface facing the lamp (1/r², beam); power 1 gives 1 at the centre."""
+    """Compute irradiance (rows, columns) on a surface facing the lamp (1/r², beam); power 1 gives 1 at the centre."""
     x, y = plane_coordinates(settings, rows)
     dx, dy = lamp.position_mm[0] - x[None, :], lamp.position_mm[1] - y[:, None]
     square = dx * dx + dy * dy + lamp.position_mm[2] ** 2
@@ -347,20 +347,20 @@ def beam_strength(lamp: LampPose, settings: SimulationSettings, rows: slice) -> 
 
 
 def vignette(settings: SimulationSettings, rows: slice) -> np.ndarray:
-    """Light fall-off of the lens (rows, columns): 4 % in the corners."""
+    """Compute the light fall-off of the lens (rows, columns): 4 % in the corners."""
     u, v = (axis / settings.half_diagonal_mm for axis in plane_coordinates(settings, rows))
     return 1.0 - 0.04 * (u[None, :] ** 2 + v[:, None] ** 2)
 
 
 def board_cosine(lamp: LampPose, settings: SimulationSettings, rows: slice) -> np.ndarray:
-    """Cosine of incidence (rows, columns) on a flat board in the plane of the object, for the lamp's true position."""
+    """Compute the cosine (rows, columns) of incidence on a flat board in the object's plane, from the true lamp."""
     x, y = plane_coordinates(settings, rows)
     dx, dy = lamp.position_mm[0] - x[None, :], lamp.position_mm[1] - y[:, None]
     return lamp.position_mm[2] / np.sqrt(dx * dx + dy * dy + lamp.position_mm[2] ** 2)
 
 
 def direction_error_deg(settings: SimulationSettings) -> tuple[float, float]:
-    """Mean and largest angle (degrees, over pixels and lamps) between true directions and those from the centre."""
+    """Compute mean and largest angle (degrees; pixels, lamps) between true directions and those from the centre."""
     x = np.linspace(-0.5, 0.5, 41) * settings.columns * settings.pitch_mm
     y = np.linspace(-0.5, 0.5, 41) * settings.rows * settings.pitch_mm
     plane = np.stack([*np.meshgrid(x, y), np.zeros((41, 41))], axis=-1)
@@ -373,7 +373,7 @@ def direction_error_deg(settings: SimulationSettings) -> tuple[float, float]:
 
 
 def planck_spectrum(wavelengths_nm: np.ndarray, temperature_k: float) -> np.ndarray:
-    """Relative power of a Planckian radiator, 1 at 560 nm (constants: CODATA 2018)."""
+    """Compute the relative power of a Planckian radiator, 1 at 560 nm (constants: CODATA 2018)."""
     wavelengths_nm = np.asarray(wavelengths_nm, float)
 
     def power(nm):

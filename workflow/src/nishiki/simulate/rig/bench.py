@@ -19,9 +19,9 @@ from nishiki.errors import UserError
 from nishiki.simulate.rig.dome import SimulatedDome
 
 SUBJECTS = {"white board": "white", "lens cap on": "dark", "lens cap off": "object", "object": "object"}
-"""What stands before the lens after a request that holds these words; the first that is found counts."""
+"""Subjects before the lens after a request that contains these words; the first match counts."""
 REQUEST_ENDS = "press Enter "
-"""How every request to a person ends."""
+"""End of every request to a person."""
 
 
 class PaintingBench:
@@ -39,9 +39,9 @@ class PaintingBench:
     lamps : tuple of str
         Names of the lamps, in the order of the dome.
     checks : tuple of str
-        Those that are kept for evaluation.
+        Lamps that are kept for evaluation.
     subject : {"object", "white", "dark"}
-        What stands before the lens: the painting, a white board in its place, the lens cap.
+        Object before the lens: the painting, a white board in its place, or the lens cap.
     """
 
     def __init__(self, capture: Path, folder: Path) -> None:
@@ -72,7 +72,7 @@ class PaintingBench:
         return self.photographs[self.subject, self.lamps[min(lit)]]
 
     def expose(self, lit: set[int]) -> None:
-        """Take the photograph of what stands before the lens; the camera's software saves it."""
+        """Photograph the subject before the lens; the camera's software saves it."""
         source = self.photograph(lit)
         self.darks_taken += source in self.darks
         self.taken += 1
@@ -81,7 +81,7 @@ class PaintingBench:
         draft.rename(draft.with_name(draft.name[1:]))
 
     def obey(self, request: str) -> None:
-        """Do what a person is asked: put something before the lens. UserError where the request names nothing known."""
+        """Put the requested subject before the lens. UserError where the request names nothing known."""
         words = [words for words in SUBJECTS if words in request]
         if not words:
             raise UserError(f"the simulated operator does not understand {request!r}")
@@ -93,7 +93,7 @@ class PaintingBench:
 
 
 def data_of(capture: Path) -> Path:
-    """Where the files of a capture lie: in `data` once it is sealed."""
+    """Return the folder of a capture's files: `data` once it is sealed."""
     return capture / "data" if (capture / "data").is_dir() else capture
 
 
@@ -135,7 +135,7 @@ def write_rig(bench: PaintingBench, by_hand: Path, folder: Path) -> tuple[Path, 
 
 
 def run_at_terminal(command: list[str], obey: Callable[[str], None], **options: object) -> int:
-    """Run a program at a terminal where a person does what it asks; what it prints goes to standard error.
+    """Run a program at a terminal where a simulated person answers its requests; its output goes to standard error.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A simulated dome with the protocol <3,n>, and what it lights."""
+"""A simulated dome with the protocol <3,n>, and the diodes that it lights."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,9 +16,9 @@ class SimulatedDome(SimulatedLine):
     count : int
         Number of diodes; the first has the number 0.
     on_shutter : callable, optional
-        What the camera on its shutter cable does, given the diodes that shine.
+        Action of the camera on the shutter cable, given the diodes that are lit.
     on_light : callable, optional
-        What happens when the diodes that shine have changed, before the dome answers.
+        Function that is called when the lit diodes have changed, before the dome answers.
 
     Attributes
     ----------

@@ -49,7 +49,7 @@ class SimulatedGrbl(SimulatedLine):
 
     @property
     def position(self) -> dict[str, float]:
-        """Where the axes are now."""
+        """Positions of the axes now."""
         now, start, end = time.monotonic(), self.moving_since, self.moving_until
         share = 1.0 if now >= end else (now - start) / (end - start)
         return {axis: a + share * (self.end_position[axis] - a) for axis, a in self.start_position.items()}

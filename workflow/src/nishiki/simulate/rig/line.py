@@ -1,4 +1,4 @@
-"""A simulated device behind a pseudo-terminal: what it answers, and what can go wrong on a serial line."""
+"""Simulate a device behind a pseudo-terminal: its answers, and the faults of a serial line."""
 
 import errno
 import os
@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 FAULTS = ("silence", "partial", "halves", "noise", "restart", "unplug")
-"""What can happen to the next answer: it never comes; only its beginning comes; it comes in two parts; after noise; the
+"""Faults of the next answer: it never comes; only its beginning comes; it comes in two parts; after noise; the
 device restarts in place of it; the cable is pulled."""
 BOOT_S = 0.05
 """Seconds from the opening of the port to the greeting: real boards take one or two."""
@@ -49,11 +49,11 @@ class SimulatedLine(threading.Thread):
         self.start()
 
     def greet(self) -> list[str]:
-        """Start anew; what the device says then."""
+        """Start anew; return the greeting."""
         return []
 
     def obey(self, command: str) -> list[str]:
-        """Obey one command; its answers."""
+        """Obey one command; return its answers."""
         raise NotImplementedError
 
     def later(self, seconds: float, action: Callable[[], None]) -> None:
@@ -145,7 +145,7 @@ class SimulatedLine(threading.Thread):
                     self._answer(command.strip().removesuffix(self.ending))
 
     def ends(self, text: str) -> bool:
-        """Whether a command is complete."""
+        """Check whether a command is complete."""
         return text.endswith(self.ending)
 
     def _answer(self, command: str) -> None:
@@ -185,7 +185,7 @@ class SimulatedDialogue(SimulatedLine):
     answers : dict of str to str
         The answer to each command; others are answered with `error`.
     greeting : str
-        What it says when it starts.
+        Line that the device sends when it starts.
     """
 
     def __init__(self, path: Path, answers: dict[str, str], greeting: str = "") -> None:

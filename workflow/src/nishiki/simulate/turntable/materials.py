@@ -37,7 +37,7 @@ def _set(m, where, colour, alpha):
 
 
 def _gild(m, where, along, across):
-    """Gold leaf: a metal, a little soiled."""
+    """Paint gold leaf: a metal, a little soiled."""
     for row, value in enumerate((0.05, 0.035, 0.015, *GOLD, along, across)):
         m[row] = np.where(where, value, m[row])
 
@@ -56,7 +56,7 @@ def _within(m, where, paint, *arguments):
 
 
 def _apart(a, b):
-    """Distances from the middles of the cells of a lattice, in cells."""
+    """Compute distances from the middles of the cells of a lattice, in cells."""
     return a - np.floor(a) - 0.5, b - np.floor(b) - 0.5
 
 
@@ -65,7 +65,7 @@ def _even(number):
 
 
 def _bits(key, number):
-    """Random bits of integers given as float64; keys uint64."""
+    """Hash integers given as float64 to random bits; keys uint64."""
     return mix_bits(key, number.astype(np.int64).astype(np.uint64))
 
 
@@ -96,7 +96,7 @@ def _flower(m, key, u, v, size):
 
 
 def _field(m, key, turn, s):
-    """Flowers over leaves and a diapered ground, around the belly. turn : radians about the axis; s : mm upwards."""
+    """Paint flowers over leaves and a diapered ground, around the belly. turn : radians about the axis; s : mm up."""
     cells, width, height = 11.0, 41.0, 29.0
     row = np.floor((s + 14.0) / height)
     place = turn / TURN * cells + 0.5 * row
@@ -122,7 +122,7 @@ def _field(m, key, turn, s):
 
 
 def _waves(m, turn, s):
-    """Overlapping scales (sea waves) in blue and white, rings on each."""
+    """Paint overlapping scales (sea waves) in blue and white, rings on each."""
     width, height = TURN * 62.0 / 32.0, 6.0
     place, row, ring = turn * 62.0 / width, np.floor(s / height), np.full(len(s), -1.0)
     for level in (row + 1, row, row - 1):
@@ -135,7 +135,7 @@ def _waves(m, turn, s):
 
 
 def _woven(m, key, around, s):
-    """Basket weave: strips over and under."""
+    """Paint a basket weave: strips over and under."""
     pitch = 4.4
     a, b = around / pitch, s / pitch
     i, j, (fa, fb) = np.floor(a), np.floor(b), _apart(a, b)
@@ -181,7 +181,7 @@ def _jar(m, key, x, y, z):
 
 
 def _lacquer(m, key, x, y, z):
-    """Black lacquer with sprinkled gold, a gold and red spray of blossoms, and a red rim."""
+    """Paint black lacquer with sprinkled gold, a gold and red spray of blossoms, and a red rim."""
     _set(m, True, (0.022, 0.015, 0.012), 0.13)
     r, place = np.hypot(x, z), np.arctan2(z, x) / TURN * 7.0
     fleck = crack_distance(key + np.uint64(40), x / 1.5, z / 1.5)
@@ -247,7 +247,7 @@ def _across(vector, normal):
 
 
 def _texture(key, place, normal, slope, ring):
-    """Bumped normals and tangents (6, n). Tangents run around the axis; where `ring` on the handles, along their rings.
+    """Bump normals and make tangents (6, n): around the axis; where `ring` on the handles, along their rings.
 
     place, normal (3, n); slope (2, n) of the relief.
     """
@@ -268,7 +268,7 @@ def _texture(key, place, normal, slope, ring):
 
 
 def _describe(parts, points, normals, key) -> np.ndarray:
-    """Materials (NUMBERS, n) at points; parts (n, 6), points and normals (3, n)."""
+    """Compute materials (NUMBERS, n) at points; parts (n, 6), points and normals (3, n)."""
     part, (x, y, z) = parts.argmin(axis=1), points
     m = np.zeros((SLOPE.stop, len(part)))
     m[8] = 0.22
@@ -300,7 +300,7 @@ def describe(parts: np.ndarray, points: np.ndarray, normals: np.ndarray, *, key:
 
 
 def reflected(materials: np.ndarray, lights: np.ndarray, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Body and mirror reflection (n, 3) of materials (n, NUMBERS) for unit directions to light and view (n, 3)."""
+    """Compute body and mirror reflection (n, 3) of materials (n, NUMBERS) for unit vectors to light and view (n, 3)."""
     m, normal, tangent = materials.T, materials[:, 9:12], materials[:, 12:15]
     frame = np.stack([tangent, np.cross(normal, tangent), normal])
     light, view, half = (np.einsum("anc,nc->an", frame, each) for each in (lights, views, lights + views))

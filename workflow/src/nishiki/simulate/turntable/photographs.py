@@ -42,7 +42,7 @@ from nishiki.simulate.turntable.shape import (
 
 @dataclass(frozen=True)
 class Optics:
-    """What stands between the light and the converter, without noise."""
+    """The optics between the light and the converter, without noise."""
 
     # (rows, columns, 3), share of full scale that a perfect white at the axis gives, first polariser in place
     sensitivity: np.ndarray
@@ -52,7 +52,7 @@ class Optics:
 
 
 def _plane(settings: TurntableSettings) -> tuple[np.ndarray, np.ndarray]:
-    """u (1, columns) to the right and v (rows, 1) upwards, -1..1 along the longer side."""
+    """Compute u (1, columns) to the right and v (rows, 1) upwards, -1..1 along the longer side."""
     longer = 0.5 * max(settings.rows, settings.columns)
     u = (np.arange(settings.columns) + 0.5 - 0.5 * settings.columns) / longer
     v = (0.5 * settings.rows - 0.5 - np.arange(settings.rows)) / longer
@@ -60,7 +60,7 @@ def _plane(settings: TurntableSettings) -> tuple[np.ndarray, np.ndarray]:
 
 
 def make_optics(view: Viewpoint, settings: TurntableSettings) -> Optics:
-    """Fall-off of the lens (4 % in the corners), unevenness of the polarisers (±3 %) and of the light on the board.
+    """Model the lens's fall-off (4 % in the corners), unevenness of the polarisers (±3 %) and of the board's light.
 
     The board stands in the place of the object, facing the camera; the same for every view, as camera and lamp are.
     """
@@ -96,7 +96,7 @@ def blurred(image: np.ndarray) -> np.ndarray:
 
 
 def components(light: Radiance, settings: TurntableSettings) -> tuple[np.ndarray, np.ndarray]:
-    """Depolarised and mirror-reflected light (rows, columns, 3) float64 at the sensor: blurred, stray light added."""
+    """Compute depolarised and mirrored light (rows, columns, 3) float64 at the sensor: blurred, stray light added."""
     bare = (1.0 - light.coverage)[..., None].astype(np.float64)
     u, v = _plane(settings)
     backdrop = (CLOTH * (1.0 - 0.4 * v + 0.1 * u))[..., None]  # the black cloth: a faint glow that is stronger below
@@ -105,7 +105,7 @@ def components(light: Radiance, settings: TurntableSettings) -> tuple[np.ndarray
 
 
 def signal(light: Radiance, optics: Optics, settings: TurntableSettings, state: str) -> np.ndarray:
-    """Share of full scale (rows, columns, 3) in one state of the polarisers ("off", "on", or "" without any)."""
+    """Compute the share of full scale (rows, columns, 3) in a state of the polarisers ("off", "on", or "" if none)."""
     diffuse, specular = components(light, settings)
     if state == "on":
         return optics.sensitivity * optics.beta * (diffuse + np.array(LEAK) * specular)
@@ -113,13 +113,13 @@ def signal(light: Radiance, optics: Optics, settings: TurntableSettings, state: 
 
 
 def photograph(light: Radiance, optics: Optics, settings: TurntableSettings, *, view: str, state: str) -> np.ndarray:
-    """Codes (rows, columns, 3) uint16 of the object."""
+    """Photograph the object: codes (rows, columns, 3) uint16."""
     key = subkey(settings.seed, f"turntable noise {view} {state}")
     return expose(signal(light, optics, settings, state).astype(np.float32), settings.camera, key=key)
 
 
 def white_board(index: int, optics: Optics, settings: TurntableSettings, *, state: str) -> np.ndarray:
-    """Codes of one of several pictures of the matt white board, which depolarises all that it reflects."""
+    """Photograph the matt white board, which depolarises all that it reflects: codes of one of several pictures."""
     level = optics.sensitivity * (optics.board + STRAY)[..., None]
     if state == "on":
         level = level * optics.beta
@@ -146,7 +146,7 @@ def settings_from(options) -> TurntableSettings:
 
 
 def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, report) -> None:
-    """Both folders; report(text) tells the progress."""
+    """Write both folders; report(text) prints the progress."""
     views = place_views(settings)
     scene = make_scene(settings)
     report(f"object: {len(scene.surface.triangles)} triangles")
@@ -256,7 +256,7 @@ class ObjectTruth(Truth):
 
 
 def truth_attributes(settings: TurntableSettings, views: tuple[Viewpoint, ...]) -> dict:
-    """Attributes of truth.zarr."""
+    """Return the attributes of truth.zarr."""
     return {
         "views": [view.name for view in views],
         "parts": list(PARTS),

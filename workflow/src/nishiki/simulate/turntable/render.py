@@ -1,4 +1,4 @@
-"""Render a view of the simulated object as light, with what reaches a point by way of other parts."""
+"""Render a view of the simulated object as light, with the light that reaches a point by way of other parts."""
 
 import math
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ _GATHERED_RAYS = 1 << 19  # at a time
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Hold the surroundings of each vertex."""
+    """The surroundings of each vertex."""
 
     seen: np.ndarray  # (v, directions) int32, the vertex that each ray meets, -1 = none
     toward: np.ndarray  # (directions, 3) unit directions about z, cosine-distributed, turned by `spin` (v,) radians
@@ -38,7 +38,7 @@ class Surroundings:
 
 
 def cosine_directions(count: int) -> np.ndarray:
-    """(count, 3) unit directions about z, distributed as the cosine: a sunflower pattern on the disc, lifted."""
+    """Return unit directions (count, 3) about z, distributed as the cosine: a sunflower pattern on the disc, lifted."""
     index = np.arange(count) + 0.5
     r, turn = np.sqrt(index / count), index * math.pi * (3.0 - math.sqrt(5.0))
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1.0 - r * r)])
@@ -68,7 +68,7 @@ def look_around(surface: SimulatedSurface, tree: RayTree, *, directions: int, se
 
 
 def _mean_materials(surface: SimulatedSurface, key: int) -> tuple[np.ndarray, np.ndarray]:
-    """Albedo (v, 3) and (roughness, share of metal) (v, 2), means over the triangles at each vertex by area."""
+    """Average albedo (v, 3) and (roughness, share of metal) (v, 2) over the triangles at each vertex by area."""
     faces = np.zeros((len(surface.triangles), 5))
     random = np.random.default_rng(key)
     for _ in range(_FACE_SAMPLES):
@@ -91,7 +91,7 @@ def _mean_materials(surface: SimulatedSurface, key: int) -> tuple[np.ndarray, np
 
 
 def bounced(around: Surroundings, direct: np.ndarray, bounces: int) -> tuple[np.ndarray, np.ndarray]:
-    """Indirect irradiance (v, 3), and the radiosity (v, 3) of the vertices under direct (v,) or (v, 3) irradiance.
+    """Compute indirect irradiance (v, 3) and radiosity (v, 3) of the vertices under direct (v,) or (v, 3) irradiance.
 
     `bounces` diffuse reflections: the first by what is lit directly. Facets of metal are taken as dark here.
     """
@@ -104,7 +104,7 @@ def bounced(around: Surroundings, direct: np.ndarray, bounces: int) -> tuple[np.
 
 
 def mirrored(surface: SimulatedSurface, around: Surroundings, radiosity: np.ndarray, eye: np.ndarray) -> np.ndarray:
-    """(v, 3): what facets that reflect all light would show at each vertex towards the eye, of the object itself.
+    """Compute the object's own image (v, 3) in facets that reflect all light, at each vertex towards the eye.
 
     The mean of the surroundings' radiosity with the weights of GGX facets.
     """
@@ -130,7 +130,7 @@ _RAYS = 1 << 18  # at a time
 
 @dataclass(frozen=True)
 class SimulatedScene:
-    """The object, ready to be seen: its triangles, the tree over them, what every vertex sees, the key of its paint."""
+    """The object, ready to render: its triangles, the tree over them, each vertex's surroundings, its paint's key."""
 
     surface: SimulatedSurface
     tree: RayTree
@@ -140,7 +140,7 @@ class SimulatedScene:
 
 @dataclass(frozen=True)
 class Radiance:
-    """What comes from the object to the camera, relative to a perfect white at the axis that faces the lamp."""
+    """Light from the object to the camera, relative to a perfect white at the axis that faces the lamp."""
 
     # (rows, columns, 3) float32, light that has lost its polarisation (body, bounced light, the object's mirror image
     # in itself)
@@ -155,7 +155,7 @@ class Radiance:
 
 @dataclass(frozen=True)
 class _Points:
-    """Hold the places where rays met the object."""
+    """Places where rays met the object."""
 
     pixel: np.ndarray  # (n,), its number in the pixel (n,)
     sample: np.ndarray
@@ -217,12 +217,12 @@ def lamp_rays(points: np.ndarray, lamp: np.ndarray, a: np.ndarray, b: np.ndarray
 
 
 def reference(view: Viewpoint) -> float:
-    """Squared distance (mm²) at which the lamp gives irradiance 1: that of the axis."""
+    """Return the squared distance (mm²) at which the lamp gives irradiance 1: that of the axis."""
     return float(np.sum((view.lamp - np.array(AIM_MM)) ** 2))
 
 
 def irradiance(scene: SimulatedScene, view: Viewpoint) -> np.ndarray:
-    """Irradiance (v,) of every vertex by the lamp, with shadows; 1 for a surface at the axis that faces it."""
+    """Compute the lamp's irradiance (v,) on every vertex, with shadows; 1 for a surface at the axis that faces it."""
     surface = scene.surface
     origins, total = surface.vertices + OFFSET_MM * surface.normals, np.zeros(len(surface.vertices))
     for point in range(_LAMP_POINTS):
@@ -237,7 +237,7 @@ def irradiance(scene: SimulatedScene, view: Viewpoint) -> np.ndarray:
 
 
 def _aim(scene, view, settings, rows: slice, vertex_light: np.ndarray) -> _Points:
-    """Rays through stratified random places of the pixels of some rows, and where they meet the object."""
+    """Send rays through stratified random places of the pixels of some rows, and find where they meet the object."""
     side, columns = settings.samples, settings.columns
     count = (rows.stop - rows.start) * columns
     pixel, sample = np.divmod(np.arange(count * side * side), side * side)
@@ -274,7 +274,7 @@ def _aim(scene, view, settings, rows: slice, vertex_light: np.ndarray) -> _Point
 
 
 def _shade(scene, view, settings, met: _Points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Diffuse and specular light (n, 3) of every sample to the camera, and its albedo (n, 3)."""
+    """Compute diffuse and specular light (n, 3) of every sample to the camera, and its albedo (n, 3)."""
     m = describe(met.parts, met.points, met.normals, key=scene.key)
     # One point of the lamp's disc a sample; together the pixel's samples cover the disc (a sunflower pattern).
     ring = (met.sample + met.numbers[:, 3]) / settings.samples**2
@@ -295,7 +295,7 @@ def _shade(scene, view, settings, met: _Points) -> tuple[np.ndarray, np.ndarray,
 
 
 def _collect(met: _Points, diffuse, specular, albedo, settings, out: Radiance) -> None:
-    """Means over the pixels of some rows, into `out`."""
+    """Average over the pixels of some rows, into `out`."""
     shape = out.coverage.shape
     count = np.bincount(met.pixel, minlength=out.coverage.size)
 

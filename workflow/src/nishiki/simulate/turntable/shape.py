@@ -19,7 +19,7 @@ FLUTES = 14  # around the jar
 
 
 def smooth_union(a, b, k):
-    """Minimum of two distances, rounded where they differ by less than k (quadratic blend)."""
+    """Compute the minimum of two distances, rounded where they differ by less than k (quadratic blend)."""
     h = np.maximum(k - abs(a - b), 0.0) / k
     return np.minimum(a, b) - 0.25 * h * h * k
 
@@ -96,7 +96,7 @@ def part_distances(points: np.ndarray) -> np.ndarray:
 
 
 def distance(points: np.ndarray) -> np.ndarray:
-    """Signed distance (approximate; exact in sign) of points (3, ...) from the whole object."""
+    """Compute the signed distance (approximate; exact in sign) of points (3, ...) from the whole object."""
     parts = part_distances(points)
     d = smooth_union(parts[BODY], parts[HANDLES], 5.0)
     d = smooth_union(d, parts[ROPE], 1.5)
@@ -105,7 +105,7 @@ def distance(points: np.ndarray) -> np.ndarray:
 
 
 def gradient(points: np.ndarray, step: float) -> np.ndarray:
-    """Gradient (3, n) of `distance` at points (3, n) by central differences over 2 step mm."""
+    """Compute the gradient (3, n) of `distance` at points (3, n) by central differences over 2 step mm."""
     steps = step * np.eye(3)[:, :, None]
     return np.stack([distance(points + along) - distance(points - along) for along in steps]) * 0.5 / step
 
@@ -126,7 +126,7 @@ _CREASE = 0.9  # cosine between the gradient and the mean normal of the triangle
 
 @dataclass(frozen=True)
 class SimulatedSurface:
-    """Hold the surface."""
+    """The simulated surface."""
 
     vertices: np.ndarray  # (v, 3) float64 mm
     triangles: np.ndarray  # (f, 3) int32, counter-clockwise seen from outside
@@ -151,7 +151,7 @@ def make_surface(triangles: int) -> SimulatedSurface:
 
 
 def scanned(surface: SimulatedSurface, *, noise_mm: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices (v, 3) and triangles as a scanner would deliver them: vertices off along the normal."""
+    """Return vertices (v, 3) and triangles as a scanner would deliver them: vertices off along the normal."""
     from nishiki.simulate.randomness import subkey
 
     random = np.random.default_rng(subkey(seed, "turntable scan"))
@@ -187,7 +187,7 @@ def _settled(vertices: np.ndarray, faces: np.ndarray) -> SimulatedSurface:
 
 
 def _triangle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(v, 3) unit normals: means over the triangles at each vertex, weighted by area."""
+    """Compute unit normals (v, 3): means over the triangles at each vertex, weighted by area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     cross = np.cross(b - a, c - a)
     sums = np.zeros_like(vertices)
@@ -198,7 +198,7 @@ def _triangle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _relaxed(surface: SimulatedSurface) -> np.ndarray:
-    """Vertices moved half way to the mean of their neighbours, along the surface only: evens out the triangles."""
+    """Move vertices half way to the mean of their neighbours, along the surface only: evens out the triangles."""
     count = len(surface.vertices)
     ends = np.concatenate([surface.triangles[:, [a, b]] for a in range(3) for b in range(3) if a != b])
     degree = np.bincount(ends[:, 0], minlength=count)
@@ -211,7 +211,7 @@ def _relaxed(surface: SimulatedSurface) -> np.ndarray:
 
 
 def _without_slivers(surface: SimulatedSurface, spacing: float) -> SimulatedSurface:
-    """Without triangles of no area worth the name, and without vertices that nothing uses."""
+    """Remove triangles of hardly any area, and vertices that no triangle uses."""
     a, b, c = (surface.vertices[surface.triangles[:, corner]] for corner in range(3))
     area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
     faces = surface.triangles[area > 1e-9 * spacing * spacing]
@@ -291,7 +291,7 @@ PRESETS = {
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """Describe one view."""
+    """One view."""
 
     name: str
     rotation: np.ndarray  # (3, 3): object to camera (x right, y down, z into the scene)

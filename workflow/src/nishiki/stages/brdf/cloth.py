@@ -1,4 +1,4 @@
-"""Cloth BRDF: of the whole hemisphere of every region of a cloth, and the models beside it."""
+"""Fit the BRDF of every region of a cloth over the whole hemisphere, with several models."""
 
 import csv
 import json
@@ -68,7 +68,7 @@ def run(context: Context) -> dict:
 
 
 def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None]:
-    """Return the reflectances with the views of normal incidence that fits may use, and the hemisphere from those."""
+    """Return the reflectances with the normal-incidence views for fits, and the hemisphere completed from them."""
     artifact = context.inputs["goniometer_samples"]
     measured = Reflectances(artifact.folder)
     setting = context.settings.measurements
@@ -88,7 +88,7 @@ def used_measurements(context: Context) -> tuple[ReflectanceSet, Decision | None
 
 
 def fits(context: Context, reflectances, measured: Measured, number: int, names) -> dict[str, Fitted]:
-    """Return all models of one region."""
+    """Fit all models of one region."""
     basic = reflectances.basic
     settings = context.settings
     if basic is not None:
@@ -100,7 +100,7 @@ def fits(context: Context, reflectances, measured: Measured, number: int, names)
 
 
 def judged(measured: Measured, fit: Fitted) -> dict:
-    """Return reciprocity, albedo, and the error on what the fit used, by polar angle of the light."""
+    """Compute reciprocity, albedo, and the error on the fitted data, by polar angle of the light."""
     used = measured.take(fit.used)
     predicted = fit.brdf.evaluate(used.incident, used.outgoing)
     errors = {}
@@ -123,7 +123,7 @@ def judged(measured: Measured, fit: Fitted) -> dict:
 
 
 def export(context: Context, brdf, suffix: str, channels) -> None:
-    """Write the default model in the formats asked for."""
+    """Write the default model in the requested formats."""
     formats = context.settings.export
     if "utia" in formats:
         context.output.path(f"brdf{suffix}_utia.bin").write_bytes(utia_planes(brdf).tobytes())

@@ -67,7 +67,7 @@ def run(context: Context) -> dict:
 
 
 def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, Decision]:
-    """Return whether the specular part is fitted, by the setting or by a sample of texels, and what was decided."""
+    """Decide whether to fit the specular part, by the setting or a sample of texels; return the decision too."""
     if setting != "auto":
         return setting == "keep", decide_object_gloss(None, setting)
     shape = sample.visible.shape
@@ -87,7 +87,7 @@ def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, D
 
 
 def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.ndarray]:
-    """Return the lighting as stated, the camera of every observation and the index of its light."""
+    """Return the stated lighting, the camera of every observation and the index of its light."""
     count = len(texels.lights)
     stated = {"camera": {"kind": "camera"}, "fitted": {"kind": "unknown"}}.get(kind, views.lamp)
     lighting = Lighting.from_capture(stated, lights=count, unit=views.unit)
@@ -102,7 +102,7 @@ def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.n
 
 
 def reader(texels: Texels, separated: bool, hold_out: tuple[str, ...]):
-    """Return read(tile) for the fit; views left out are not visible in it, whatever the store holds."""
+    """Return read(tile) for the fit; omitted views count as not visible, whatever the store holds."""
     kept = np.array([view not in hold_out for _ in texels.lights for view in texels.views])
 
     def read(tile: int) -> Tile:

@@ -31,7 +31,7 @@ UNIT_BANDS, UNIT_STEP = 8, 8  # bands, and rows and columns between the pixels, 
 
 
 LOWEST = np.cos(np.radians(50))
-"""Cosine of the steepest slope of pixels that take part in the fit."""
+"""Cosine of the steepest slope of pixels in the fit."""
 
 
 def run(context: Context) -> dict:
@@ -65,7 +65,7 @@ def run(context: Context) -> dict:
 def fit_glossy(
     context: Context, frames: Observations, painting: PaintingMaps, labels: np.ndarray | None, finishes: list[dict]
 ) -> tuple[list[dict], Decision]:
-    """Every region whose gloss predicts lamps fitted to all its pixels, the others Lambert alone; and the decision."""
+    """Fit regions whose gloss predicts lamps to all their pixels, the others by Lambert alone; decide which."""
     settings = context.settings
     kept = np.array([settings.specular == "keep" or finish["gloss_counts"] for finish in finishes])
     kept &= settings.specular != "drop"
@@ -79,7 +79,7 @@ def fit_glossy(
 
 
 def fit_regions(histogram: SpecularHistogram) -> list[dict]:
-    """Parameters of each region: strengths of the lobes that `normals` fits with."""
+    """Fit the parameters of each region: strengths of the lobes for the fit of `normals`."""
     parameters = []
     for region in range(len(histogram.rows)):
         gloss, profile = fit_gloss(histogram, region=region), histogram.profile(region=region)
@@ -92,7 +92,7 @@ def fit_regions(histogram: SpecularHistogram) -> list[dict]:
 
 
 def body_of(finish: dict, refractive_index: float) -> GlossProfile:
-    """Return the body below a gloss that is not known yet; a metal has none, and the mean of its colour.
+    """Return the body below an unknown gloss; a metal has none, but the mean of its colour.
 
     The share of the surface's loss that the body suffers is that of the joint fit, 0 where there was none.
     """
@@ -110,7 +110,7 @@ def gather(
     glossy: np.ndarray,
     finishes: Sequence[dict],
 ) -> SpecularHistogram:
-    """Specular samples of every usable observation of the glossy regions, by angle between normal and half vector.
+    """Collect specular samples of glossy regions' observations, by angle between normal and half vector.
 
     glossy (regions,): bool; finishes: what `normals` says of each. The error of normals blurs the gloss where it was
     fitted with them; that of others is one of the model, which does not scatter.

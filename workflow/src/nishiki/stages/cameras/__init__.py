@@ -1,4 +1,4 @@
-"""Declaration of the stage `cameras`: settings, inputs, limits of its result, cost."""
+"""Declare the stage `cameras`: settings, inputs, limits of its result, cost."""
 
 from collections.abc import Mapping
 from typing import Any, Literal
@@ -48,7 +48,7 @@ LIMITS = (
 
 
 class CamerasSettings(Guarded, stage="cameras", version=1, limits=LIMITS):
-    """Where each view's camera stood, and its lens."""
+    """Pose and lens of each view's camera."""
 
     source: Literal["auto", "matrices", "boards", "correspondences", "photographs"] = Field(
         "auto",

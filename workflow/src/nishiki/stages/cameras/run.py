@@ -18,7 +18,7 @@ from nishiki.stages.cameras import CamerasSettings
 
 
 def run(context: Context) -> dict:
-    """Take the poses from matrices, boards or correspondences, and tell how well they fit."""
+    """Compute the poses from matrices, boards or correspondences, and their errors."""
     folder = context.inputs["ingest"].folder
     views = Views(folder)
     name = views.geometry.get("correspondences")
@@ -55,7 +55,7 @@ def run(context: Context) -> dict:
 
 
 def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -> str:
-    """Return the source of the poses. UserError where the capture has not what was asked for, or nothing at all."""
+    """Return the source of the poses. UserError where the capture lacks the requested one, or any."""
     boards = {picture["view"] for picture in views.attributes["calibration"] if picture["view"]}
     there = {
         "matrices": views.matrices is not None,
@@ -77,7 +77,7 @@ def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -
 
 
 def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Camera], list[float | None], tuple | None]:
-    """Return the given matrices with the distortion of a given lens, and their error where correspondences tell it."""
+    """Return the given matrices with the distortion of a given lens, and their error on correspondences, if any."""
     rows, columns = views.shape
     matrices = views.matrices or {}
     missing = [name for name in views.views if name not in matrices]
@@ -106,7 +106,7 @@ def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Came
 
 
 def located(context: Context, views: Views, source: str, points: dict | None) -> tuple[list[Camera], list[float], dict]:
-    """Return poses from boards or correspondences."""
+    """Estimate poses from boards or correspondences."""
     settings = context.settings
     rows, columns = views.shape
     limit = settings.outlier_px or 0.005 * max(rows, columns)
@@ -161,13 +161,13 @@ def estimated(
 
 
 def rms(camera: Camera, sight: Sight) -> float:
-    """Return root mean square distance in pixels."""
+    """Compute the root mean square distance in pixels."""
     projected, _ = camera.project(sight.points)
     return float(np.sqrt(((projected - sight.pixels) ** 2).sum(axis=1).mean()))
 
 
 def find_boards(views: Views) -> Detection | None:
-    """Board corners of all calibration pictures; None without pictures. UserError without the board's measures."""
+    """Find board corners in calibration pictures; None without pictures. UserError without the board's measures."""
     if not views.attributes["calibration"]:
         return None
     board = views.board_description
@@ -187,7 +187,7 @@ def find_boards(views: Views) -> Detection | None:
 def lens_of(
     views: Views, boards: Detection | None, settings: CamerasSettings
 ) -> tuple[np.ndarray, tuple[float, ...], Calibration | None]:
-    """Given intrinsics, or those that the boards give. UserError where there is neither."""
+    """Return given intrinsics, or those from the boards. UserError where there is neither."""
     if views.intrinsics:
         return np.array(views.intrinsics["matrix"], float), tuple(views.intrinsics["distortion"]), None
     if boards is None:
@@ -206,7 +206,7 @@ def lens_of(
 
 
 def board_sights(views: Views, boards: Detection) -> dict[str, Sight]:
-    """Return corners by view. UserError where a view's board was not seen."""
+    """Return corners by view. UserError where a view shows no board."""
     view_of = {picture["name"]: picture["view"] for picture in views.attributes["calibration"]}
     sights = {view_of[each.name]: Sight(view_of[each.name], each.points, each.pixels) for each in boards.pictures}
     missing = [name for name in views.views if name not in sights]
@@ -222,7 +222,7 @@ def board_sights(views: Views, boards: Detection) -> dict[str, Sight]:
 def on_one_axis(
     settings: CamerasSettings, views: Views, sights: list[Sight], poses: list[Pose]
 ) -> tuple[list[Camera], dict | None]:
-    """Return all views on one axis where asked for, or where left-out points are predicted better so."""
+    """Move all views to one axis where requested, or where held-out points are then predicted better."""
     free = [pose.camera for pose in poses]
     if settings.turntable == "off" or len(free) < 3:
         return free, None

@@ -9,7 +9,7 @@ from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, photographs_or_stat
 
 
 class EvaluateSettings(Guarded, stage="evaluate", version=2):
-    """Comparison with truth where there is one, otherwise with lights that the fit never saw."""
+    """Comparison with truth where there is one, otherwise with lights that no fit used."""
 
     cast_shadows: bool = Field(True, description="predict cast shadows from the integrated height")
     lamp_diameter_deg: float = Field(
@@ -65,7 +65,7 @@ OBJECT_LIMITS = (
 
 
 class ObjectEvaluateSettings(Guarded, stage="object_evaluate", version=4, limits=OBJECT_LIMITS):
-    """The decoded object against its photographs, and what it costs."""
+    """The decoded object against its photographs, and its size."""
 
     pictures: int = Field(3, ge=0, le=64, description="captured views shown beside their photographs, evenly spread")
     columns: int = Field(480, ge=64, le=4096, description="largest width of those pictures")
@@ -88,7 +88,7 @@ OBJECT = Stage(
 
 
 class ClothEvaluateSettings(Guarded, stage="cloth_evaluate", version=2):
-    """The cloth's models against measurements that their fits did not see."""
+    """The cloth's models against measurements that their fits did not use."""
 
     curves: int = Field(
         12, ge=0, le=200, description="incidences of each region whose plane is drawn, measured beside predicted"

@@ -1,4 +1,4 @@
-"""Cloth evaluation: what the cloth's models predict against what was measured and no fit has seen."""
+"""Compare predictions of a cloth's models with measurements that no fit used."""
 
 from dataclasses import asdict, dataclass
 
@@ -13,14 +13,14 @@ from nishiki.render.cloth.models import ClothModels
 
 PLANES = ((0.0, "weft"), (90.0, "warp"))
 WITHIN_DEG = 2.0
-"""An incidence this close to the weft or the warp is in its plane."""
+"""Largest angle in degrees between an incidence and the plane of weft or warp in which it counts."""
 LEAST_VIEWS = 8
-"""Fewer views of one incidence than this say nothing about its peak."""
+"""Least number of views of one incidence for an evaluation of its peak."""
 
 
 @dataclass(frozen=True)
 class Judged:
-    """One model at one incidence."""
+    """Errors of one model at one incidence."""
 
     theta_i_deg: float  # theta_i_deg, phi_i_deg: of the light
     phi_i_deg: float
@@ -36,7 +36,7 @@ class Judged:
 
 
 def plane_name(phi_deg: float) -> str:
-    """Return weft, warp, or the azimuth brought into 0 to 90 degrees, in words."""
+    """Return weft, warp, or the azimuth reduced to 0 to 90 degrees, in words."""
     folded = abs((phi_deg + 90) % 180 - 90)
     for azimuth, name in PLANES:
         if abs(folded - azimuth) <= WITHIN_DEG:
@@ -53,7 +53,7 @@ def judge(
     *,
     quarter: bool = False,
 ) -> list[Judged]:
-    """Errors at every incidence; directions (n, 3), values and noise (n, channels), sr^-1. Channels are averaged.
+    """Compute errors at every incidence; directions (n, 3), values and noise (n, channels), sr^-1; channels averaged.
 
     quarter: the cloth has two mirror planes, so that under normal incidence a view stands for its images too.
     """
@@ -102,7 +102,7 @@ def by_incidence(rows: list[Judged]) -> dict[str, dict]:
 
 
 def in_plane(outgoing: np.ndarray, azimuth: float, *, within: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of views (n, 3) in the plane through the normal at this azimuth, and their signed polar angles, radians.
+    """Select views (n, 3) in the plane through the normal at this azimuth; return rows and signed polar angles, rad.
 
     within: largest sine of the angle between the view's azimuth and the plane's; where fewer than four views are that
     near, largest sine of the angle to the plane. Angles are positive towards the azimuth; rising.
@@ -121,7 +121,7 @@ HELD_OUT, FITTED = "held_out", "fitted"
 
 
 def run(context: Context) -> dict:
-    """Judge every model of every region, on measurements left out and on those that were used."""
+    """Evaluate every model of every region on measurements held out and on those used."""
     measured = Reflectances(context.inputs["goniometer_samples"].folder)
     models = ClothModels(context.inputs["cloth_brdf"].folder)
     settings = context.settings
@@ -144,7 +144,7 @@ def run(context: Context) -> dict:
 
 
 def region(context: Context, measured: Reflectances, models: ClothModels, name: str) -> dict:
-    """All models of one region.
+    """Evaluate all models of one region.
 
     Held out is what is valid and no model's fit has used, so that all are judged on the same measurements. A model
     whose fit used every oblique measurement (a reference, no prediction) does not make the others' set empty: it is
@@ -179,12 +179,12 @@ def region(context: Context, measured: Reflectances, models: ClothModels, name: 
 
 
 def uses_all(used: np.ndarray, rows: np.ndarray) -> bool:
-    """Return whether a fit used every one of these rows, and there are some."""
+    """Check whether a fit used every one of these rows, and there are some."""
     return len(rows) > 0 and bool(np.isin(rows, used).all())
 
 
 def judged(measured: Reflectances, number: int, predicted: np.ndarray, rows: np.ndarray) -> dict:
-    """Return errors on these measurements, at each incidence and over the planes of each polar angle."""
+    """Compute errors on these measurements, at each incidence and over the planes of each polar angle."""
     if not len(rows):
         return {"measurements": 0, "rows": [], "by_incidence": {}}
     values, noise = measured.values[rows, number], measured.noise[rows, number]

@@ -1,4 +1,4 @@
-"""Object_evaluate: the decoded object against its photographs, left-out views, truth, and the bytes it takes."""
+"""Compare the decoded object with its photographs, held-out views and truth, and count its bytes."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -46,7 +46,7 @@ def difference(
 
 
 def structural_similarity(coded: np.ndarray, photograph: np.ndarray, inside: np.ndarray) -> float | None:
-    """Return mean structural similarity over the pixels inside; None without pixels.
+    """Compute the mean structural similarity over the pixels inside; None without pixels.
 
     Z. Wang et al., Image quality assessment, IEEE Trans. Image Processing 13(4), 2004: Gaussian window of 1.5 pixels,
     mean of the channels, outside of the silhouette counted as equal.
@@ -72,7 +72,7 @@ def structural_similarity(coded: np.ndarray, photograph: np.ndarray, inside: np.
 
 
 def summary(rows: list[dict]) -> dict:
-    """Mean and worst PSNR of the views, and that of all pixels taken together; None where nothing was measured."""
+    """Summarise mean and worst PSNR of the views, and that of all pixels together; None without measurements."""
     values = [row["psnr_db"] for row in rows if row["psnr_db"] is not None]
     squares = sum(row["pixels"] * 10 ** (-row["psnr_db"] / 10) for row in rows if row["psnr_db"] is not None)
     counts = {name: sum(row[name] for row in rows) for name in ("pixels", "uncovered_pixels", "superfluous_pixels")}
@@ -103,7 +103,7 @@ def compare(
     similarity: bool,
     **named,
 ) -> dict:
-    """Return a row over outline and rendered surface together (see `difference`).
+    """Compare two pictures over outline and rendered surface together (see `difference`).
 
     Its figure `covered_psnr_db` is over the pixels of both. named: the other fields of the row.
     """
@@ -117,7 +117,7 @@ def compare(
 
 
 def figures(rows: Iterable[dict]) -> dict:
-    """Summaries by kind of picture: captured views, the model alone, left-out views, and against truth."""
+    """Summarise by kind of picture: captured views, the model alone, held-out views, and against truth."""
     rows, summaries = list(rows), {}
     for name, picture, left_out, against in (
         ("captured", DECODED, False, "photograph"),
@@ -143,7 +143,7 @@ FILLED_PX = 16  # around the object; beyond, its mean
 
 
 def jpeg2000_psnr(photograph: np.ndarray, inside: np.ndarray, size: float) -> float | None:
-    """Return PSNR in dB over the pixels inside of one photograph coded as JPEG 2000 in `size` bytes at most.
+    """Compute the PSNR in dB over the pixels inside of a photograph coded as JPEG 2000 in at most `size` bytes.
 
     photograph (rows, columns, channels) in the capture's encoding, full scale 1; inside (rows, columns) bool. What lies
     outside continues the object, so that nothing is spent on an edge. None where no quality is as small.
@@ -178,7 +178,7 @@ AMPLIFIED = 10  # times the error as shown
 def comparison(
     photograph: np.ndarray, rendered: np.ndarray, model: np.ndarray, inside: np.ndarray, encoding: str, columns: int
 ) -> dict[str, np.ndarray]:
-    """Return pictures (rows, columns, 3) uint8 cut to the object, of at most `columns`.
+    """Crop pictures (rows, columns, 3) uint8 to the object, with at most `columns`.
 
     photograph, rendered and model as seen on a screen, black outside of the silhouette; error: grey plus AMPLIFIED
     times the difference of rendered and photograph. Inputs in the capture's encoding, inside (rows, columns) bool.
@@ -253,7 +253,7 @@ class Work:
         self.shown, self.pixels, self.outlined = [], 0, True
 
     def light(self, light: int) -> list:
-        """Return rows of all views under one light."""
+        """Compare all views under one light."""
         views, shown = range(len(self.decoded.views)), self.renderer
         shots = [(shown.predicted if view in self.without else shown.captured)(view, light=light) for view in views]
         models = self.model.render(self.model.captured(view, light=light) for view in views)
@@ -265,7 +265,7 @@ class Work:
         return rows
 
     def judge(self, view: int, light: int, made: dict[str, ObjectPicture]) -> list:
-        """Return rows of one observation; its pictures side by side where they are to be shown."""
+        """Compare one observation; return rows, and its pictures side by side where requested."""
         encoding, similarity = self.decoded.encoding, self.settings.similarity
         name = self.decoded.views[view]
         linear, valid = self.photographs.read(view, light)
@@ -312,7 +312,7 @@ class Work:
 
 
 def headlines(evaluation: dict) -> dict:
-    """Return the figures that stand in the artifact's diagnostics."""
+    """Return the figures for the artifact's diagnostics."""
     summaries = evaluation["figures"]
     kept = {
         name: {

@@ -1,4 +1,4 @@
-"""Evaluate: errors against truth where there is one, and predictions of lights that the fit never saw."""
+"""Compare a painting's maps with truth, and predictions with photographs under lights that no fit used."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -50,7 +50,7 @@ def run(context: Context) -> dict:
 
 
 class EvaluatedScene(PaintingMaps):
-    """The fitted maps of one scene and what is needed to see them.
+    """Fitted maps of one scene and data for displaying them.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class EvaluatedScene(PaintingMaps):
         self.parts = parts_of(labels, level, frames.mask & self.estimated)
 
     def predict(self, light: Light, rows: slice, visibility: np.ndarray | None) -> PredictedLight:
-        """Return some rows under a lamp, whose visibility (1, rows, columns) is that of the whole."""
+        """Predict some rows under a lamp, whose visibility (1, rows, columns) is that of the whole."""
         middle = (self.shape[0] - 1) / 2
         return predict_light(
             self.model(rows),
@@ -104,7 +104,7 @@ def parts_of(labels: np.ndarray | None, level: np.ndarray, known: np.ndarray) ->
 
 @dataclass(frozen=True)
 class CheckTruth:
-    """Hold the noise-free colour (rows, columns, 3) under one check light.
+    """Noise-free colour (rows, columns, 3) under one check light.
 
     A white facing the lamp has Y = 1, with the lamp's own spectrum and with D65; gloss and body: (rows, columns) parts
     of it; lit: (rows, columns) share of the lamp, 0..1.
@@ -119,7 +119,7 @@ class CheckTruth:
 
 @dataclass(frozen=True)
 class Truth:
-    """Any part may be None or empty."""
+    """Truth of a scene; any part may be None or empty."""
 
     normals: np.ndarray | None = None  # (rows, columns, 3), zero or NaN where unknown
     height_mm: np.ndarray | None = None  # (rows, columns)
@@ -134,7 +134,7 @@ class Truth:
     window: tuple[slice, slice] = (slice(None), slice(None))
 
     def check(self, light: str) -> CheckTruth | None:
-        """Return truth of one check light, read when asked for; None where it is not known."""
+        """Return truth of one check light, read at its first use; None where it is unknown."""
         if light not in self.checks or self.arrays is None:
             return None
         at, names = self.checks.index(light), ("xyz_lamp", "xyz_d65", "gloss", "body")
@@ -143,7 +143,7 @@ class Truth:
         return CheckTruth(**parts, lit=lit)
 
     def equivalent_gamma(self) -> tuple[float, float, float] | None:
-        """Return half width at half maximum, radians, that the GGX facet distributions have: least, median, largest.
+        """Compute the half width at half maximum, radians, of the GGX facet distributions: least, median, largest.
 
         D falls to half where tan(phi) = alpha sqrt(sqrt 2 - 1), leaving cos^4 aside (Walter et al., EGSR 2007, eq. 33).
         """
@@ -162,7 +162,7 @@ def truth_from(
     region: tuple[int, int, int, int] | None = None,
     asked: tuple[int, int, int, int] | None = None,
 ) -> Truth:
-    """Truth from named arrays: those that docs/simulator.md lists, or `normals` alone.
+    """Build the truth from named arrays: those that docs/simulator.md lists, or `normals` alone.
 
     shape : (rows, columns) of the scene's maps; region : (row, column, rows, columns) of the scene in the photographs;
     asked : the region of interest of the capture, which holds that of the scene. A truth of the whole photograph or of
@@ -213,7 +213,7 @@ def _window(size: tuple[int, int], shape: tuple[int, int], region, asked) -> tup
 
 
 def read_truth(context: Context, frames: Observations) -> Truth:
-    """Return truth of a simulated capture (truth.zarr), or an .npz with normals; empty where none is given."""
+    """Read the truth of a simulated capture (truth.zarr), or an .npz with normals; empty where none is given."""
     path = planned_truth(context)
     if path is None:
         return Truth()
@@ -236,7 +236,7 @@ def read_truth(context: Context, frames: Observations) -> Truth:
 
 
 def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
-    """Errors of the maps themselves; None where there is no truth or no map of the kind."""
+    """Compute errors of the maps themselves; None without truth or a map of the kind."""
     result: dict[str, dict | None] = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
         normals, flags = (scene.maps.read(name) for name in ("normals", "flags"))
@@ -267,7 +267,7 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
 
 
 def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter):
-    """Score every light that no fit has seen; pool the differences of all of them, by part and together."""
+    """Score every light that no fit used; pool the differences of all of them, by part and together."""
     frames = scene.frames
     chosen = [
         j for j, role in enumerate(frames.roles) if role == "check" or frames.lights[j] in context.settings.hold_out
@@ -359,7 +359,7 @@ def one_light(
 
 
 def colours_for(scene: EvaluatedScene) -> dict:
-    """Ways from the prediction to XYZ: under the capture's lamp, and, with spectra, under D65."""
+    """Return conversions of the prediction to XYZ: under the capture's lamp, and, with spectra, under D65."""
     if scene.basis is None or "illuminant" not in scene.curves:
         return {} if scene.camera.rmse is None else {"lamp": channel_colour(scene.camera)}
     return {

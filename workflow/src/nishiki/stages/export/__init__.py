@@ -86,7 +86,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "usd": ("height", "spectra", "brdf"),
     "materialx": ("height", "spectra", "brdf"),
 }
-"""Stages that a format, or a kind of relightable image, reads where the capture can feed them."""
+"""Stages read by a format, or a kind of relightable image, where the capture can feed them."""
 
 
 PAINTING = Stage(

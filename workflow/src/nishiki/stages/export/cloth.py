@@ -1,4 +1,4 @@
-"""Export: files of the draped cloth for other programs, and how far its material there is from the fitted model.
+"""Export files of the draped cloth, and measure the error of their materials against the fitted model.
 
 For base colour c, alpha = roughness^2, anisotropy strength s, weight w and colour k of the specular reflection, index
 1.5 (glTF 2.0, appendix B; KHR_materials_specular, _anisotropy):
@@ -39,12 +39,12 @@ from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.render.cloth import DrapedCloth, draped_cloth, lights_of
 
 PAIRS = 1500
-"""Of light and view in the fit."""
+"""Number of pairs of light and view in the fit."""
 LEAST = np.array([0, 0, 0, 0.05, 0.0, 0, 0, 0, 0])
 MOST = np.array([1, 1, 1, 1.0, 1.0, 1, 25, 25, 25])
 """Bounds of the parameters, in the order of `of_parameters`."""
 STARTS = ((0.35, 0.7), (0.6, 0.4))
-"""Roughness and anisotropy strength from which the fit sets out, along either yarn."""
+"""Initial roughness and anisotropy strength of the fit, along either yarn."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class GltfCloth:
         return cls(x[:3], float(x[3]), float(x[4]), float(x[5]), x[6:9], along_warp)
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-        """Return (..., 3) 1 / sr for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
+        """Compute (..., 3) 1 / sr for unit vectors (..., 3) in the frame weft, warp, normal; 0 below the horizon."""
         g = halves(incident, outgoing)
         normal = np.minimum(NORMAL_REFLECTANCE * self.specular_colour, 1.0)
         fresnel = self.weight * (normal + (1 - normal) * (1 - g.cos_d[..., None]) ** 5)
@@ -77,7 +77,7 @@ class GltfCloth:
         return only_above(g.above, body + fresnel * gloss)
 
     def as_dict(self) -> dict:
-        """Its numbers, as plain values."""
+        """Return its numbers, as plain values."""
         return {name: np.asarray(value).tolist() for name, value in asdict(self).items() if name != "channels"}
 
     def material(self) -> dict:
@@ -104,19 +104,19 @@ class GltfCloth:
 
 
 def shone(brdf: Brdf, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
-    """Return (n, 3) sRGB-coded light relative to a white that faces the lamp, at most 1."""
+    """Compute (n, 3) sRGB-coded light relative to a white that faces the lamp, at most 1."""
     return srgb_encode(np.pi * three_channels(brdf.evaluate(incident, outgoing)) * incident[:, 2:])
 
 
 def coded_error(material: GltfCloth, brdf: Brdf) -> float:
-    """Return root mean square difference of the coded brightness, on pairs that the fit did not see."""
+    """Compute the root mean square difference of the coded brightness, on pairs held out of the fit."""
     incident, outgoing = pairs(PAIRS, 1)
     difference = shone(material, incident, outgoing) - shone(brdf, incident, outgoing)
     return float(np.sqrt(np.mean(difference**2)))
 
 
 def pairs(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Light and view (count, 3): the light from everywhere above alike, the view as often as a ball shows it."""
+    """Draw light and view (count, 3): the light uniformly from above, the view as on a ball."""
     random = np.random.default_rng(seed)
     made = []
     for power in (1.0, 0.5):
@@ -152,7 +152,7 @@ def fitted_cloth(brdf: Brdf, *, count: int = PAIRS) -> GltfCloth:
 
 @dataclass(frozen=True)
 class ExportedCloth:
-    """shown: settings of the pictures; brdf: that of this model of a region of the capture."""
+    """shown: settings of the pictures; brdf: that model of a region of the capture."""
 
     shown: ClothRenderSettings
     draped: DrapedCloth
@@ -170,11 +170,11 @@ class ExportedCloth:
 
 
 VIEWS = ((21, 12), (21, 132), (21, 252), (60, 12))
-"""Elevation and azimuth in degrees of the views on which the loss is measured,"""
+"""Elevation and azimuth in degrees of the views for measuring the loss,"""
 LAMPS = ((38, -50), (24, 68), (60, 180))
 """and of the lamps, from the view: beside, low at the other side, behind."""
 SIDE = 128
-"""Pixels along a side of these pictures."""
+"""Side of these pictures in pixels."""
 
 
 def errors(cloth: ExportedCloth, material: Brdf) -> dict:
@@ -210,7 +210,7 @@ def errors(cloth: ExportedCloth, material: Brdf) -> dict:
 
 
 def colour_differences(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return CIEDE2000 (n,) of sRGB codes (n, 3)."""
+    """Compute CIEDE2000 (n,) of sRGB codes (n, 3)."""
     to_xyz = np.linalg.inv(srgb_matrix())
     labs = (
         xyz_to_lab(decode(codes.astype(np.float64), "srgb") @ to_xyz.T, to_xyz @ np.ones(3))
@@ -220,7 +220,7 @@ def colour_differences(first: np.ndarray, second: np.ndarray) -> np.ndarray:
 
 
 ALONG_TANGENT = np.array([[[255, 128, 255]]], np.uint8)
-"""The texel of KHR_materials_anisotropy that says: along the tangent, with the whole strength."""
+"""Texel of KHR_materials_anisotropy: along the tangent, with full strength."""
 
 
 def write_gltf(context: Context, cloth: ExportedCloth) -> dict:
@@ -255,7 +255,7 @@ def write_gltf(context: Context, cloth: ExportedCloth) -> dict:
 
 
 def write_mitsuba(context: Context, cloth: ExportedCloth) -> dict:
-    """Write the folder `mitsuba`; return how far its table is from the model."""
+    """Write the folder `mitsuba`; return the error of its table against the model."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
     shown, surface = cloth.shown, cloth.draped.surface
     azimuth = np.radians(shown.view.azimuth_deg)
@@ -307,7 +307,7 @@ def camera_facts(camera: Camera, middle: np.ndarray) -> dict:
 
 
 def write_bsdf(context: Context, cloth: ExportedCloth) -> dict:
-    """Write `cloth.bsdf`; return how far its table is from the model."""
+    """Write `cloth.bsdf`; return the error of its table against the model."""
     table = HalfVectorTable.of(lambda light, eye: three_channels(cloth.brdf.evaluate(light, eye)))
     described = f"{context.stamp['scene']}, {cloth.region}, {cloth.model}; x weft, y warp; {software(context)}"
     context.output.path("exports/cloth.bsdf").write_bytes(bsdf_bytes(table.arrays(described)))

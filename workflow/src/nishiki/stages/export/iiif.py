@@ -22,7 +22,7 @@ from nishiki.stages.export.scene import ExportedScene
 PRESENTATION = "http://iiif.io/api/presentation/3/context.json"
 PHYSICAL = "http://iiif.io/api/annex/services/physdim"
 OPEN_RIGHTS = r"https?://(creativecommons\.org|rightsstatements\.org)/\S+"
-"""What `rights` of a manifest may be."""
+"""Allowed values of `rights` in a manifest."""
 QUALITY = 92  # of the JPEG tiles
 RAKING = np.array([-np.cos(np.radians(20)), 0.0, np.sin(np.radians(20))])
 """Light of the relief picture: from the left, 20 degrees above the surface."""
@@ -35,13 +35,13 @@ def colour(scene: ExportedScene, rows: slice) -> np.ndarray:
 
 
 def relief(scene: ExportedScene, rows: slice) -> np.ndarray:
-    """Return the surface as if it were grey plaster, in raking light."""
+    """Render the surface as grey plaster in raking light."""
     lit = np.maximum(scene.relief_normals(rows) @ RAKING, 0)
     return np.repeat(np.floor(255 * srgb_encode(lit)[..., None] + 0.5), 3, axis=-1)
 
 
 def normals(scene: ExportedScene, rows: slice) -> np.ndarray:
-    """Return normals as colours, y up."""
+    """Encode normals as colours, y up."""
     return normals_as_colours(scene.normals(rows)) // 257
 
 
@@ -69,7 +69,7 @@ def write_iiif(context: Context, scene: ExportedScene) -> dict:
 
 
 def tiles_psnr_db(folder: Path, picture: np.ndarray) -> float:
-    """Return what the tiles at full resolution keep of the coded picture; peak 255."""
+    """Compute the PSNR of the tiles at full resolution against the coded picture; peak 255."""
     tiles = read_iiif_tiles(folder, *picture.shape[:2])
     squares = sum(float(np.square(tile - picture[window].astype(np.float32)).sum()) for window, tile in tiles)
     return float(10 * np.log10(255**2 * picture.size / max(squares, 1.0)))
@@ -88,7 +88,7 @@ def manifest(context: Context, scene: ExportedScene, address: str) -> dict:
 
 
 def canvas(address: str, images: list[dict], shape: tuple[int, int], pitch_mm: float | None) -> dict:
-    """Return a canvas with layers to choose from; pitch_mm: size of its pixels on the object."""
+    """Return a canvas of selectable layers; pitch_mm: size of its pixels on the object."""
     painted = {
         "id": f"{address}/painted", "type": "Annotation", "motivation": "painting", "target": address,
         "body": {"type": "Choice", "items": images},
@@ -104,7 +104,7 @@ def canvas(address: str, images: list[dict], shape: tuple[int, int], pitch_mm: f
 
 
 def manifest_of(context: Context, address: str, canvases: list[dict]) -> dict:
-    """Return a manifest with these canvases, and what capture.yaml says of object, maker and rights."""
+    """Return a manifest with these canvases, and object, maker and rights from capture.yaml."""
     about, stamp = context.inputs["ingest"].diagnostics["capture"], context.stamp
     facts = {label: about.get(key) for key, label in ABOUT.items()}
     facts["Made by"] = f"Nishiki {stamp['version']}: scene {stamp['scene']}, export {stamp['key']}"
@@ -126,7 +126,7 @@ def _pair(label: str, value: str) -> dict:
 
 
 def image(address: str, name: str, label: str, shape: tuple[int, int]) -> dict:
-    """Return a layer: the picture that stands for it, and its tiles."""
+    """Return a layer: its representative picture, and its tiles."""
     width, height = iiif_size(*shape)
     service = {"id": f"{address}/{name}", "type": "ImageService3", "profile": "level0"}
     return {

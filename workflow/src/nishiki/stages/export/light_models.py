@@ -1,4 +1,4 @@
-"""Relightable images: every pixel's photographs as few numbers, from which a viewer computes any light.
+"""Fit relightable images: few numbers per pixel, from which a viewer computes the picture under any light.
 
     value_k = o_k(l) + sum_p c_p T_pk(l)
 
@@ -19,11 +19,11 @@ from nishiki.formats.relight import bilinear_weights, gaussian_weights, ptm_weig
 from nishiki.photometric.light_selection import distinct_sets
 
 RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
-"""Weights of the squared coefficients beside the squared errors, of those that are tried."""
+"""Candidate weights of the squared coefficients relative to the squared errors."""
 WIDTHS = (0.05, 0.075, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.7)
-"""Widths of the Gaussians between lights, as distances of unit vectors, of those that are tried."""
+"""Candidate widths of the Gaussians between lights, as distances of unit vectors."""
 LEAST_REDUNDANCY = 1e-3
-"""Share of a light's value that does not come from itself, below which leaving it out says nothing of a fit."""
+"""Share of a light's value predicted by others, below which leaving it out does not test a fit."""
 GRID_SIDE = 8  # nodes along a side of the grid of bilinear
 NODES = 0.006  # n: weight of a node's squared error beside that of a captured light
 SLIGHT = 1e-6  # added to the normal matrix of components, which are orthogonal but for the rounding of their codes
@@ -53,12 +53,12 @@ class HarmonicModel:
         return 3 * self.design.shape[1]
 
     def transfer(self, light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return o (3,) and T (planes, 3) for a unit vector towards the light."""
+        """Compute o (3,) and T (planes, 3) for a unit vector towards the light."""
         weights = WEIGHTS[self.kind](np.asarray(light)[None])[0]
         return np.zeros(3), np.kron(weights[:, None], np.eye(3))
 
     def fit(self, values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-        """Return (planes, n) coefficients of pixels with values (lights, 3, n) where valid (lights, n) bool."""
+        """Fit (planes, n) coefficients of pixels with values (lights, 3, n) where valid (lights, n) bool."""
         return solve(self.design, values, valid, penalty(self.design, self.ridge)).reshape(self.planes, -1)
 
 
@@ -111,7 +111,7 @@ class PrincipalModel(TabulatedModel):
 
     @classmethod
     def of(cls, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, planes: int) -> "PrincipalModel":
-        """Take components of sample pixels (lights, 3, n) at which all lights are valid, or of all without any."""
+        """Compute components of sample pixels (lights, 3, n) at which all lights are valid, or of all without any."""
         rows = whole_pixels(values, valid, planes)
         mean_code = coded_mean(rows)
         components = principal_components((rows - mean_code / 255).reshape(len(rows), -1), planes)
@@ -140,7 +140,7 @@ class GridModel(TabulatedModel):
 
     @classmethod
     def of(cls, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, planes: int) -> "GridModel":
-        """Find components of sample pixels (nodes, 3, n) that err least under captured lights (L, 3), little at nodes.
+        """Compute components of sample pixels (nodes, 3, n), accurate under captured lights (L, 3), less so at nodes.
 
         C C' = A'A + n I, with A the weights of the nodes under the lights.
         """
@@ -170,23 +170,23 @@ LightModel = HarmonicModel | PrincipalModel | GridModel
 
 
 def grid_weights(lights: np.ndarray) -> np.ndarray:
-    """Return (lights, nodes) of the nodes of the grid."""
+    """Compute (lights, nodes) weights of the nodes of the grid."""
     return np.stack([bilinear_weights(GRID_SIDE, light) for light in lights])
 
 
 def whole_pixels(values: np.ndarray, valid: np.ndarray, planes: int) -> np.ndarray:
-    """Values (n, directions, 3) of the pixels where all lights are valid; of all pixels where these are too few."""
+    """Select values (n, directions, 3) of the pixels where all lights are valid; of all pixels if these are too few."""
     whole = valid.all(axis=0)
     return (values[..., whole] if whole.sum() > planes else values).transpose(2, 0, 1).astype(np.float64)
 
 
 def coded_mean(rows: np.ndarray) -> np.ndarray:
-    """Return (directions, 3) uint8 of values (n, directions, 3)."""
+    """Compute the mean (directions, 3) uint8 of values (n, directions, 3)."""
     return np.rint(255 * np.clip(rows.mean(axis=0), 0, 1)).astype(np.uint8)
 
 
 def principal_components(rows: np.ndarray, planes: int) -> np.ndarray:
-    """Return (planes, variables) right singular vectors of rows (n, variables), the largest first.
+    """Compute (planes, variables) right singular vectors of rows (n, variables), the largest first.
 
     From the smaller of the two matrices of products; fewer than `planes`, by threes, where rows or variables are few.
     """
@@ -197,13 +197,13 @@ def principal_components(rows: np.ndarray, planes: int) -> np.ndarray:
 
 
 def coded_components(components: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return codes (planes, directions, 3) uint8 of components, and units of a code (planes,)."""
+    """Quantise components (planes, directions, 3) to uint8; return the codes and their units (planes,)."""
     span = 127 / np.maximum(np.abs(components).max(axis=(1, 2)), 1e-6)
     return (np.rint(components * span[:, None, None]) + 127).astype(np.uint8), span
 
 
 def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
-    """Return the ridge of RIDGES with the smallest squared error of lights left out one at a time (closed form)."""
+    """Choose the ridge of RIDGES with the smallest leave-one-out squared error (closed form)."""
     whole = valid.all(axis=0)
     samples = (values[..., whole] if whole.any() else values).reshape(len(design), -1).astype(np.float64)
     errors = []
@@ -216,7 +216,7 @@ def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> f
 
 
 def chosen_width(lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
-    """Return the width of WIDTHS with which the others predict a light best."""
+    """Choose the width of WIDTHS that best predicts each light from the others."""
     samples = values.reshape(len(lights), -1).astype(np.float64)
     counted = np.tile(valid, (1, 3))
     others = ~np.eye(len(lights), dtype=bool)
@@ -230,7 +230,7 @@ def chosen_width(lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> f
 
 
 def penalty(design: np.ndarray, ridge: float) -> np.ndarray:
-    """(bases, bases) added to the normal matrix: the ridge a light and coefficient, none on the first, the constant."""
+    """Return (bases, bases) to add to the normal matrix: the ridge a light and coefficient, none on the constant."""
     return ridge * len(design) * np.diag(np.arange(design.shape[1]) > 0).astype(float)
 
 

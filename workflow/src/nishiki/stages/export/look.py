@@ -87,16 +87,16 @@ class GltfMaterial:
         return self.weight
 
     def fresnel(self, cos_q: np.ndarray | float) -> np.ndarray | float:
-        """Return w F at the cosine of view and half vector."""
+        """Compute w F at the cosine of view and half vector."""
         normal = self.normal_reflectance
         return normal + (self.grazing_reflectance - normal) * (1 - cos_q) ** 5
 
     def base_colour(self, albedo: np.ndarray) -> np.ndarray:
-        """Return the base colour with which light and view along the normal show this albedo (..., 3), or a metal's."""
+        """Compute the base colour that yields this albedo (..., 3) (or a metal's) for light and view at the normal."""
         return np.clip(albedo / (1 - np.expand_dims(self.fresnel(1.0) * (1 - self.metallic), -1)), 0, 1)
 
     def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
-        """(n, 3) light relative to a white that faces the lamp, seen along z; base colours and normals (n, 3)."""
+        """Render light (n, 3) relative to a white that faces the lamp, along z; base colours and normals (n, 3)."""
         view = np.array([0.0, 0.0, 1.0])
         half = (light + view) / np.linalg.norm(light + view)
         cos_i, cos_r = (np.maximum(normals @ each, 0) for each in (light, view))
@@ -108,7 +108,7 @@ class GltfMaterial:
 
 
 class WhiteAtGrazing(GltfMaterial):
-    """The same lobe in UsdPreviewSurface and OpenPBR, which have no weight: at grazing light they reflect all of it.
+    """The same lobe in UsdPreviewSurface and OpenPBR, which lack a weight: they reflect all grazing light.
 
     OpenPBR has the exact reflectance of a dielectric where this has Schlick's approximation.
     """
@@ -120,13 +120,13 @@ class WhiteAtGrazing(GltfMaterial):
 
 
 def best_material(errors: np.ndarray, index: float, metallic: float = 0.0) -> GltfMaterial:
-    """Return the material of the least of the errors (roughness, strength) of `coded_errors`."""
+    """Return the material with the least of the errors (roughness, strength) of `coded_errors`."""
     rough, strong = np.unravel_index(int(np.argmin(errors)), errors.shape)
     return GltfMaterial(float(ROUGHNESS[rough]), float(STRENGTH[strong]), index, metallic=metallic)
 
 
 def coded_errors(beta: np.ndarray, gamma: np.ndarray, index: float, albedo: float) -> np.ndarray:
-    """(roughness, strength) weighted sums of squared differences of coded brightness from our lobes, over the grid.
+    """Compute (roughness, strength) sums of weighted squared coded differences from our lobes, over the grid.
 
     beta, gamma : (lobes,); albedo : mean of the object, over which the gloss is seen along the normal. Those of a metal
     do not depend on the strength.
@@ -196,7 +196,7 @@ class RegionGloss:
 
     @property
     def reflectance(self) -> float:
-        """Along the normal; where there are several regions, of weight 1."""
+        """Reflectance along the normal; with several regions, at weight 1."""
         material = self.materials[0]
         return float(material.normal_reflectance if self.labels is None else material.reflectance_of_weight_1)
 
@@ -209,7 +209,7 @@ class RegionGloss:
 
 @dataclass(frozen=True)
 class PaintingGloss:
-    """The gloss of a painting as each format takes it."""
+    """Gloss of a painting in the parameters of each format."""
 
     gltf: RegionGloss
     materialx: RegionGloss
@@ -223,7 +223,7 @@ def painting_gloss(
     labels: np.ndarray | None,
     variance: np.ndarray | None = None,
 ) -> PaintingGloss:
-    """Return every region's lobes as one lobe, nearest in coded brightness; matte where the gloss is left out.
+    """Fit one lobe to every region's lobes, nearest in coded brightness; matte where the gloss is omitted.
 
     albedo : (rows, columns, 3), over whose mean in a region its gloss is seen; known, labels : (rows, columns);
     variance : (rows, columns) of the slopes inside a texel, which widens its lobe.
@@ -254,7 +254,7 @@ def painting_gloss(
 def _widened(
     materials: Sequence[GltfMaterial], labels: np.ndarray | None, variance: np.ndarray | None
 ) -> np.ndarray | None:
-    """Roughness of the texels' lobes, as 8 bits hold it; None where nothing widens them, or there is no gloss."""
+    """Compute the roughness of the texels' lobes, as 8 bits; None without widening or gloss."""
     if variance is None or all(material.strength + material.metallic == 0 for material in materials):
         return None
     roughness = np.array([material.roughness for material in materials])
@@ -270,7 +270,7 @@ def _white(gloss: RegionGloss) -> RegionGloss:
 
 
 def _stored(materials: Sequence[GltfMaterial]) -> tuple[GltfMaterial, ...]:
-    """With one factor, and with what 8 bits leave of roughness and weight."""
+    """Quantise roughness and weight to 8 bits, with one factor."""
     most = max(1.0, *(float(material.strength) for material in materials))
     return tuple(
         replace(
@@ -306,18 +306,18 @@ class PaintingLook:
     step: int  # pixels along the side of a texel
 
     def texels(self, rows: slice, columns: int) -> Texels:
-        """Those that stand for pixels."""
+        """Select the texels that represent pixels."""
         down, across = np.arange(rows.start, rows.stop) // self.step, np.arange(columns) // self.step
         base = decode(self.colours[down][:, across].reshape(-1, 3) / 255, "srgb")
         normals = self.normals[down][:, across].reshape(-1, 3) / 255 * 2 - 1
         return Texels(down, across, base, normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
     def surface(self, gloss: RegionGloss) -> SurfaceLook:
-        """Return the same in the words of USD and MaterialX."""
+        """Convert the look to the terms of USD and MaterialX."""
         return SurfaceLook(self.colours, gloss.roughness, gloss.reflectance, gloss.weight, self.normals, gloss.metallic)
 
     def figures(self, gloss: RegionGloss) -> dict:
-        """Return what the diagnostics say of it."""
+        """Return the look's figures for the diagnostics."""
         materials = [
             {name: getattr(material, field) for name, field in FIGURES.items()} for material in gloss.materials
         ]
@@ -362,17 +362,17 @@ class PaintingSurface(ExportedSurface):
 
     @property
     def unit(self) -> str:
-        """What a length of 1 in the file means."""
+        """Length of 1 unit in the file."""
         pitch_mm = self.scene.pitch_mm
         return f"1 is 1000 {self.scene.unit}" if pitch_mm is None else "metres"
 
     def look_of(self, name: str) -> SurfaceLook:
-        """Return textures and material as a format takes them."""
+        """Return textures and material in a format's terms."""
         return self.look.surface(getattr(self.look.gloss, name))
 
     @property
     def gltf_look(self) -> GltfLook:
-        """Return the look in the words of glTF."""
+        """Look in the terms of glTF."""
         look, gloss = self.look, self.look.gloss.gltf
         material = gloss.materials[0]
         weight = float(material.weight) if gloss.weight is None else gloss.weight
@@ -380,11 +380,11 @@ class PaintingSurface(ExportedSurface):
         return GltfLook(look.colours, gloss.roughness, weight, factor, index, gloss.metallic, look.normals)
 
     def figures(self, name: str) -> dict:
-        """Return what the diagnostics say of a format besides its error."""
+        """Return a format's figures for the diagnostics besides its error."""
         return self.look.figures(getattr(self.look.gloss, name))
 
     def errors(self, formats: list[str]) -> dict[str, dict]:
-        """Return PSNR of formats."""
+        """Compute the PSNR of formats."""
         return errors(self.context, self.scene, self.look, {name: getattr(self.look.gloss, name) for name in formats})
 
 
@@ -403,7 +403,7 @@ class TexelMaps(NamedTuple):
 
 
 def textures(scene: ExportedScene, most: int, *, slopes: bool) -> TexelMaps:
-    """Return maps with at most `most` texels a side, read by bands; slopes: with their variance."""
+    """Average maps to at most `most` texels a side, by bands; slopes: with their variance."""
     step = -(-max(scene.shape) // most)
     everything = slice(0, scene.shape[0])
     labels = scene.regions(everything)
@@ -417,7 +417,7 @@ def textures(scene: ExportedScene, most: int, *, slopes: bool) -> TexelMaps:
 
 
 def most_frequent(labels: np.ndarray, known: np.ndarray, step: int) -> np.ndarray:
-    """Labels (rows, columns) uint8 of squares of pixels: that of most of their known pixels, of equals the smallest."""
+    """Return labels (rows, columns) uint8 of squares of pixels: the most frequent known one, the smallest of equals."""
     if step == 1:
         return labels
     present = np.unique(labels)
@@ -428,7 +428,7 @@ def most_frequent(labels: np.ndarray, known: np.ndarray, step: int) -> np.ndarra
 def errors(
     context: Context, scene: ExportedScene, look: PaintingLook, glosses: Mapping[str, RegionGloss]
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Return PSNR of the stored look, seen from the front without cast shadows, under fitted and check lights.
+    """Compute the PSNR of the stored look, from the front without cast shadows, under fitted and check lights.
 
     glosses : the look's gloss as formats take it, by their names; so are the results. The photographs are read once.
     """

@@ -29,11 +29,11 @@ import numpy as np
 
 NAME = "nishiki_cloth"
 LEAST_COSINE = 0.02
-"""Of the eye above the horizon, to which normals are bent."""
+"""Least cosine of the eye above the horizon; normals are bent to reach it."""
 
 
 def define():
-    """Register the reflection model with the variant of Mitsuba that is set."""
+    """Register the reflection model with the active variant of Mitsuba."""
     import drjit as dr
     import mitsuba as mi
 
@@ -56,7 +56,7 @@ def define():
             self.m_flags, self.m_components = flags, [flags]
 
         def root(self, i, o):
-            """sqrt(f i_z o_z) of directions above the horizon."""
+            """Compute sqrt(f i_z o_z) of directions above the horizon."""
             total, apart = i + o, i - o
             twice_cosine, twice_sine = dr.norm(total), dr.norm(apart)
             h = total / twice_cosine
@@ -186,7 +186,7 @@ def description(*, columns=None, samples=64, points=1, room=False, max_depth=2, 
 
 
 def load(**changes):
-    """Load the scene in the variant that is set; see `description`."""
+    """Load the scene in the active variant; see `description`."""
     import mitsuba as mi
 
     define()

@@ -25,13 +25,13 @@ from pathlib import Path
 NAME = "nishiki_object"
 LAMP = "nishiki_lamp"
 GRAZING = 0.05
-"""Least n.v of the gloss."""
+"""Least n.v in the gloss."""
 LEAST_SIGMA = 1e-4
-"""Width in radians below which a lobe counts as this wide."""
+"""Least width of a lobe, radians."""
 
 
 def define():
-    """Register the reflection model with the variant of Mitsuba that is set."""
+    """Register the reflection model with the active variant of Mitsuba."""
     import drjit as dr
     import mitsuba as mi
 
@@ -78,7 +78,7 @@ def define():
             return NAME
 
     class Lamp(mi.Emitter):
-        """A lamp at `position` whose light does not grow less with the distance: the capture took that off."""
+        """A lamp at `position` without fall-off: the capture compensates it."""
 
         def __init__(self, props):
             mi.Emitter.__init__(self, props)
@@ -180,7 +180,7 @@ def description(*, view=None, light=None, body="colour", columns=None, samples=1
 
 
 def load(**changes):
-    """Load the scene in the variant that is set; see `description`."""
+    """Load the scene in the active variant; see `description`."""
     import mitsuba as mi
 
     define()

@@ -33,7 +33,7 @@ TEXTURES = ("albedo", "normals", "shading", "directional", "slopes", "regions")
 
 
 def define():
-    """Register the reflection model with the variant of Mitsuba that is set, one for RGB."""
+    """Register the reflection model with the active variant of Mitsuba, an RGB one."""
     import drjit as dr
     import mitsuba as mi
 
@@ -41,7 +41,7 @@ def define():
         raise RuntimeError(f"{NAME} has colours in RGB, not {mi.variant()}. Remedy: scalar_rgb or llvm_ad_rgb")
 
     class Paint(mi.BSDF):
-        """Set up the model from regions and losses of scene.json, as text, and raw textures, of which some may lack."""
+        """Reflection model from regions and losses of scene.json, as text, and raw textures, some optional."""
 
         def __init__(self, props):
             mi.BSDF.__init__(self, props)
@@ -77,7 +77,7 @@ def define():
             return dr.maximum(a + b * c + d * dr.maximum(along, 0) ** 8 + x * light.x + y * light.y, 0)
 
         def lobes(self, si, normal, half, region, active):
-            """Sum of beta D."""
+            """Sum beta D over the lobes."""
             phi = dr.atan2(dr.norm(dr.cross(normal, half)), dr.dot(normal, half))
             nz, hz = dr.maximum(normal.z, 0.2), dr.maximum(half.z, 1e-3)
             x, y = normal.x / nz - half.x / hz, normal.y / nz - half.y / hz
@@ -190,7 +190,7 @@ def description(lights, *, relief=None, columns=None, samples=16, folder=None):
 
 
 def load(lights, **changes):
-    """Load the scene in the variant that is set; see `description`."""
+    """Load the scene in the active variant; see `description`."""
     import mitsuba as mi
 
     define()

@@ -77,7 +77,7 @@ def write_iiif(context: Context, _surface: ObjectSurface) -> dict:
 def layers(
     renderer: ObjectRenderer, camera: Camera, shown: ObjectPicture, modelled: ObjectPicture
 ) -> dict[str, np.ndarray]:
-    """Return pictures (rows, columns, 3) uint8 of a view by layer, over black."""
+    """Render pictures (rows, columns, 3) uint8 of a view by layer, over black."""
     pictures = {}
     for name, picture in (("view", shown), ("model", modelled)):
         share = np.where(picture.reached, coverage(renderer.mesh, camera), 0).astype(np.float32)
@@ -88,7 +88,7 @@ def layers(
 
 
 def pitch_mm(mesh: Mesh, camera: Camera, unit: str | None) -> float | None:
-    """Return size of a pixel in millimetres where the middle of the object is; None without a unit of length."""
+    """Compute the pixel size in mm at the distance of the object's middle; None without a unit of length."""
     if unit not in METRES:
         return None
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)

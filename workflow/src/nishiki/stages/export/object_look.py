@@ -1,4 +1,4 @@
-"""How an object looks to formats of scenes: one texture for all charts, colour, roughness and strength of the gloss.
+"""Convert an object's appearance for formats of scenes: one texture for all charts, colour, roughness and gloss.
 
 The simplified Torrance-Sparrow lobe K_s / n.v exp(-a^2 / (2 s^2)) (Miyazaki et al., 2007, eq. 8), relative to a white
 that faces the lamp, becomes the lobe of Trowbridge and Reitz with the same peak and the same width at half of it:
@@ -42,12 +42,12 @@ class TextureAtlas:
 
     @property
     def placed(self) -> np.ndarray:
-        """(f,) bool: triangles that have a place."""
+        """(f,) bool: triangles with a place."""
         return np.isfinite(self.corners).all(axis=(1, 2))
 
 
 def texture_atlas(atlas: Atlas) -> TextureAtlas:
-    """Each chart whole, so that look-ups inside a triangle never cross a seam; charts on shelves, highest first."""
+    """Pack each chart whole, so that look-ups inside a triangle never cross a seam, on shelves, highest first."""
     stride = atlas.size - 1
     first, shared = np.unique(atlas.chart_grid[:, 0], return_inverse=True)
     blocks = np.zeros((len(first), 2), np.int64)
@@ -70,7 +70,7 @@ def texture_atlas(atlas: Atlas) -> TextureAtlas:
 
 
 def fill_gaps(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the texture (rows, columns, channels) with the nearest known texel where none is known."""
+    """Fill unknown texels of the texture (rows, columns, channels) with the nearest known ones."""
     if known.all() or not known.any():
         return texture
     from scipy import ndimage
@@ -80,7 +80,7 @@ def fill_gaps(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 
 def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return (n, channels) bilinear look-ups at places (n, 2), row and column in texels."""
+    """Sample (n, channels) bilinearly at places (n, 2), row and column in texels."""
     from scipy.ndimage import map_coordinates
 
     look_up = partial(map_coordinates, coordinates=places.T, output=np.float64, order=1, mode="nearest")
@@ -113,11 +113,11 @@ class ObjectLook:
         return min(self.factor * NORMAL_REFLECTANCE, 1.0)
 
     def surface(self) -> SurfaceLook:
-        """Return the same in the words of USD and MaterialX."""
+        """Convert the look to the terms of USD and MaterialX."""
         return SurfaceLook(self.colour, self.roughness, self.normal_reflectance, weight=self.specular)
 
     def of_one_strength(self) -> "ObjectLook":
-        """With the mean of the strength everywhere, which is what USD can say.
+        """Return the look with the mean strength everywhere, the only choice in USD.
 
         Roughness keeps the height of each texel's highlight, w F0 / (4 alpha^2): a weaker gloss is a wider one.
         """
@@ -127,7 +127,7 @@ class ObjectLook:
         return replace(self, roughness=np.rint(roughness).astype(np.uint8), specular=np.full_like(self.specular, mean))
 
     def figures(self) -> dict:
-        """Return what the diagnostics say of it."""
+        """Return the look's figures for the diagnostics."""
         placed = self.layout.placed
         return {
             "faces": int(placed.sum()),
@@ -139,7 +139,7 @@ class ObjectLook:
 
 
 def object_look(context: Context) -> ObjectLook:
-    """Return textures from the decoded parameters."""
+    """Compute textures from the decoded parameters."""
     decoded = DecodedObject.open(context.inputs)
     layout = texture_atlas(decoded.atlas)
     albedo, alpha, reflectance = textures(decoded, Texels(context.inputs["texels"].folder), layout)
@@ -153,7 +153,7 @@ def object_look(context: Context) -> ObjectLook:
 
 
 def object_mesh(context: Context, look: ObjectLook) -> TexturedMesh:
-    """Return the mesh in metres where its unit is known; a vertex once for each place in the textures."""
+    """Return the mesh in metres where its unit is known, with a vertex for each place in the textures."""
     layout, mesh = look.layout, look.decoded.mesh
     placed = layout.placed
     flat = np.column_stack([mesh.triangles[placed].ravel(), layout.corners[placed].reshape(-1, 2)])
@@ -166,12 +166,12 @@ def object_mesh(context: Context, look: ObjectLook) -> TexturedMesh:
 
 
 def coded(values: np.ndarray) -> np.ndarray:
-    """Return eight bits of values in 0 to 1."""
+    """Quantise values in 0 to 1 to eight bits."""
     return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
 
 def textures(decoded: DecodedObject, texels: Texels, layout: TextureAtlas) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Albedo (rows, columns, 3), alpha and w F0 (rows, columns) of the whole texture, from the decoded parameters."""
+    """Compute albedo (rows, columns, 3), alpha and w F0 (rows, columns) of the texture from the decoded parameters."""
 
     def look(tile: int) -> np.ndarray:
         kd, ks, sigma = decoded.residual.parameters(tile)
@@ -187,7 +187,7 @@ def textures(decoded: DecodedObject, texels: Texels, layout: TextureAtlas) -> tu
 def in_charts(
     decoded: DecodedObject, layout: TextureAtlas, channels: int, of_tile: Callable[[int], np.ndarray]
 ) -> np.ndarray:
-    """Return the whole texture (rows, columns, channels) float32 from tiles (T, T, channels), gaps filled."""
+    """Assemble the texture (rows, columns, channels) float32 from tiles (T, T, channels), gaps filled."""
     texture, known = np.zeros((*layout.shape, channels), np.float32), np.zeros(layout.shape, bool)
     for tile, (row, column) in enumerate(layout.origin):
         values, inside = of_tile(tile), decoded.texel_triangles[tile] >= 0
@@ -204,7 +204,7 @@ def body_colour(
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray],
     surface: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
-    """Fit (T, T, channels) albedo of a tile by least squares from all views that see a texel.
+    """Fit albedo (T, T, channels) of a tile by least squares from all views of a texel.
 
     From the diffuse light where polarisers separated it, else from all light less the model's gloss.
 
@@ -243,7 +243,7 @@ class SeenPoints:
 
     @classmethod
     def of(cls, look: ObjectLook, view: int) -> "SeenPoints":
-        """Of the triangles that have a place in the textures."""
+        """Collect the points of triangles that have a place in the textures."""
         decoded, layout = look.decoded, look.layout
         camera, mesh = decoded.cameras[view], decoded.mesh
         raster = rasterise(mesh, camera)
@@ -258,12 +258,12 @@ class SeenPoints:
         return cls(positions, normals, places, camera.centre, decoded.lighting.lamp(camera, 0), covered)
 
     def factors(self) -> tuple[np.ndarray, np.ndarray]:
-        """Irradiance (n, 3) and strength of the lamp in the gloss (n,), as `nishiki.brdf.texels.model` has them."""
+        """Compute irradiance (n, 3) and lamp strength in the gloss (n,), as in `nishiki.brdf.texels.model`."""
         irradiance, angles = factors(self.positions, self.normals, self.centre, self.lamp, 3)
         return irradiance, angles[:, 0]
 
     def cosines(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return (n,) of the normal with half vector, light and view, at least 0, and of view with half vector."""
+        """Compute cosines (n,) of normal with half vector, light and view, at least 0, and of view with half vector."""
         near = self.lamp.form == POINT  # surroundings without a highlight have no direction
         light = self.lamp.vector - self.positions if near else np.broadcast_to(self.lamp.vector, self.positions.shape)
         light, towards = (
@@ -277,11 +277,11 @@ class SeenPoints:
 
 
 Shown = Callable[[SeenPoints], np.ndarray]
-"""Linear values (n, 3) that a program shows of seen points."""
+"""Function to the linear values (n, 3) that a program displays at visible points."""
 
 
 def shown_in(look: ObjectLook, name: str) -> Shown:
-    """Compute what a viewer shows of `gltf`, `usd` or `materialx`, light and view without cast shadows."""
+    """Render a viewer's picture of `gltf`, `usd` or `materialx`, light and view without cast shadows."""
     said = look.of_one_strength() if name == "usd" else look
     alpha, strength = (said.roughness / 255) ** 2, said.specular / 255
     stored = np.concatenate([decode(look.colour / 255, "srgb"), alpha[..., None], strength[..., None]], axis=-1)
@@ -302,7 +302,7 @@ def shown_in(look: ObjectLook, name: str) -> Shown:
 def against_photographs(
     context: Context, look: ObjectLook, asked: Mapping[str, Shown]
 ) -> dict[str, dict[str, dict[str, float]]]:
-    """Compare linear values of seen points with photographs: PSNR of left-out views and of some others."""
+    """Compare linear values of visible points with photographs: PSNR of held-out views and of some others."""
     decoded, settings, count = look.decoded, context.settings, len(look.decoded.views)
     left_out = decoded.numbers(settings.hold_out)
     seen = [view for view in range(count) if view not in left_out]
@@ -325,7 +325,7 @@ def against_photographs(
 
 
 class ObjectSurface(ExportedSurface):
-    """What formats of scenes have in common."""
+    """Mesh, look and errors common to formats of scenes."""
 
     stem = "object"
 
@@ -336,29 +336,29 @@ class ObjectSurface(ExportedSurface):
 
     @cached_property
     def mesh(self) -> TexturedMesh:
-        """In metres where its unit is known."""
+        """Mesh in metres where its unit is known."""
         return object_mesh(self.context, self.look)
 
     @property
     def unit(self) -> str:
-        """What a length of 1 in a file means."""
+        """Length of 1 unit in a file."""
         unit = self.context.inputs["mesh"].diagnostics.get("unit")
         return "metres" if unit in METRES else f"{unit} of the cameras"
 
     def look_of(self, name: str) -> SurfaceLook:
-        """Return textures and material as a format takes them; the gloss has one strength in USD."""
+        """Return textures and material in a format's terms; the gloss has one strength in USD."""
         return (self.look.of_one_strength() if name == "usd" else self.look).surface()
 
     @property
     def gltf_look(self) -> GltfLook:
-        """Return the look in the words of glTF."""
+        """Look in the terms of glTF."""
         look = self.look
         return GltfLook(look.colour, look.roughness, look.specular, look.factor, INDEX)
 
     def figures(self, name: str) -> dict:
-        """Return what the diagnostics say of any format."""
+        """Return an object's figures for the diagnostics of any format."""
         return self.look.figures()
 
     def errors(self, formats: list[str]) -> dict[str, dict]:
-        """Return PSNR of the stored textures against photographs, as the formats take them."""
+        """Compute the PSNR of the stored textures against photographs, in each format."""
         return against_photographs(self.context, self.look, {name: shown_in(self.look, name) for name in formats})

@@ -82,7 +82,7 @@ def write_folder(
 
 
 def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np.ndarray]:
-    """Return kd, ks (rows, columns, 3) and sigma (rows, columns, 1) of the decoded model, float32, gaps filled."""
+    """Compute kd, ks (rows, columns, 3) and sigma (rows, columns, 1) of the decoded model, float32, gaps filled."""
 
     def parameters(tile: int) -> np.ndarray:
         kd, ks, sigma = decoded.residual.parameters(tile)
@@ -183,7 +183,7 @@ def lamp_facts(lamp: ViewLamp, middle: np.ndarray, unit: float) -> dict:
 
 
 def errors(context: Context, look: ObjectLook, parameters: dict[str, np.ndarray]) -> dict[str, dict]:
-    """Return PSNR against photographs of the reflection model with the colours of all photographs."""
+    """Compute the PSNR of the reflection model against photographs, with the colours of all photographs."""
     colour = decode(look.colour / 255, "srgb")
     model = np.concatenate([colour * look.scale, parameters["ks"], parameters["sigma"]], axis=-1)
 
@@ -201,7 +201,7 @@ BASES = 8  # as many as the viewer's shader adds up
 SAMPLES = 91  # of a table, as the Builder writes them
 NARROWEST, WIDEST = 0.01, 1.0  # radians; a table ends at 60 degrees
 FIRST_STEP = 1 / 255
-"""Of light from behind: in the shader 0 would be divided by, and this adds nothing that 8 bits show."""
+"""Light from behind: it avoids a division by 0 in the shader and is invisible in 8 bits."""
 
 
 @dataclass(frozen=True)
@@ -224,7 +224,7 @@ class LobeBasis:
 
     @classmethod
     def of(cls, ks: np.ndarray, sigma: np.ndarray) -> "LobeBasis":
-        """Of lobes at texels: ks (rows, columns, 3), relative to a lamp of strength 1; sigma (rows, columns), radians.
+        """Fit lobes at texels: ks (rows, columns, 3) relative to a lamp of strength 1; sigma (rows, columns), radians.
 
         All texels have the mean colour of the gloss. The strongest 0.1 % of the weights of a function are clipped.
         """
@@ -248,7 +248,7 @@ class LobeBasis:
         return cls(tables, weights)
 
     def text(self) -> str:
-        """Return the tables as the viewer reads them: three rows a function."""
+        """Write the tables in the viewer's format: three rows a function."""
         rows = [
             ", ".join([f"{channel}#{number}", *(f"{value:.9f}" for value in table)])
             for number, tables in enumerate(self.tables)
@@ -258,7 +258,7 @@ class LobeBasis:
 
 
 def lobes(widths: np.ndarray) -> np.ndarray:
-    """Return (k, 91) exp(-phi^2 / (2 sigma^2)) at the samples of a table, of widths sigma (k,) in radians."""
+    """Compute (k, 91) exp(-phi^2 / (2 sigma^2)) at the samples of a table, of widths sigma (k,) in radians."""
     phi = np.pi / 3 * np.linspace(0, 1, SAMPLES) ** 2
     return np.exp(-(phi**2) / (2 * np.square(widths)[:, None]))
 
@@ -298,7 +298,7 @@ def write_kintsugi(context: Context, surface: ObjectSurface) -> dict:
 
 
 def viewed(look: ObjectLook, basis: LobeBasis) -> Shown:
-    """Return what the viewer's shader shows of seen points with these textures.
+    """Render visible points with these textures as the viewer's shader does.
 
     Its masking G = 0.5 / max(0.05, n.v sqrt(S(l)^2 + n.l S(v))) is, on a smooth surface, by sqrt(2 n.l / (n.l + n.v))
     too strong: 1.41 with the lamp at the camera. Fresnel's rise is that from 0.04 to 1.
@@ -322,7 +322,7 @@ def viewed(look: ObjectLook, basis: LobeBasis) -> Shown:
 
 
 def distribution(tables: np.ndarray, weights: np.ndarray, cos_phi: np.ndarray) -> np.ndarray:
-    """Return (n, 3) D of tables (k, 3, samples) and weights (n, k); 0 beyond 60 degrees, as in the viewer's shader."""
+    """Compute (n, 3) D of tables (k, 3, samples) and weights (n, k); 0 beyond 60 degrees, as in the viewer's shader."""
     last = tables.shape[-1] - 1
     place = np.sqrt(3 * np.arccos(np.clip(cos_phi, 0, 1)) / np.pi) * last
     before = np.minimum(place.astype(np.int64), last + 1)

@@ -1,4 +1,4 @@
-"""Export: files of a painting for other programs, and what each of them loses.
+"""Export files of a painting for other programs, and measure the loss of each.
 
 Maps as pictures of high depth and as a mesh, a scene of Mitsuba 3, tables of the MERL database.
 """
@@ -35,7 +35,7 @@ Texture = Callable[[slice], np.ndarray]
 
 
 def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
-    """Write the folder `mitsuba`; return what of the model it leaves out."""
+    """Write the folder `mitsuba`; return the omitted parts of the model."""
     folder = context.output.path("exports/mitsuba/scene.json").parent
     textures = model_textures(scene)
     header = {f"nishiki.{name}": text for name, text in context.stamp.items()}
@@ -64,7 +64,7 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
 
 
 def model_textures(scene: ExportedScene) -> dict[str, Texture]:
-    """Return what `nishiki_paint.py` reads, by name."""
+    """Return the textures of `nishiki_paint.py`, by name."""
     textures: dict[str, Texture] = {
         "albedo": scene.srgb,
         "normals": scene.shading_normals,
@@ -125,7 +125,7 @@ def write_merl(context: Context, scene: ExportedScene) -> dict:
 def mean_body(
     scene: ExportedScene, labels: np.ndarray | None, region: int
 ) -> tuple[np.ndarray | None, np.ndarray, float]:
-    """Return mean linear sRGB (3,) and terms of the body shading (3,) of a region, and the spread of its colour.
+    """Compute mean linear sRGB (3,) and body-shading terms (3,) of a region, and the spread of its colour.
 
     The spread is the root mean square distance from the mean, relative to it. None where no pixel has an estimate.
     """
@@ -147,7 +147,7 @@ def mean_body(
 
 
 def brdf_of(light, view, colour, shading, beta, gamma, index, transmission) -> np.ndarray:
-    """Return the BRDF (..., 3) per steradian; `MERL_HIDDEN` where light or view is below the surface.
+    """Compute the BRDF (..., 3) per steradian; `MERL_HIDDEN` where light or view is below the surface.
 
     light, view (..., 3): unit vectors; colour (3,), shading (3,): of the body; beta, gamma (lobes,); index: of
     refraction; transmission: share of the surface's loss that the body's light suffers.
@@ -173,7 +173,7 @@ AXES = "x right, y up, z out of the surface towards the camera; row 0 is the top
 
 
 def write_normals(context: Context, scene: ExportedScene) -> dict:
-    """Write `normals.tif` and `normals.exr`; return the angle that 16 bits lose."""
+    """Write `normals.tif` and `normals.exr`; return the angular error of 16 bits."""
     down = context.settings.normals_y == "down"
     convention = (
         f"Unit normals, {'DirectX (y down)' if down else 'OpenGL (y up)'}: value = (n + 1) / 2 * 65535 of x right, "
@@ -217,7 +217,7 @@ def write_normals(context: Context, scene: ExportedScene) -> dict:
 
 
 def stamped(context: Context) -> str:
-    """Return the stamp of an artifact in words."""
+    """Format the stamp of an artifact in words."""
     return "; ".join(f"nishiki.{name}={text}" for name, text in context.stamp.items())
 
 
@@ -284,7 +284,7 @@ def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
 
 
 def write_albedo(context: Context, scene: ExportedScene) -> dict:
-    """Write `albedo.tif`; return the share of its samples that are outside of the space."""
+    """Write `albedo.tif`; return the share of its samples outside the colour space."""
     matrix, how = scene.to_xyz_d50()
     matrix = np.linalg.inv(ROMM.to_xyz()) @ matrix
     description = (
@@ -368,7 +368,7 @@ OF_MAPS = {
     "mitsuba": write_mitsuba,
 }
 OF_A_SURFACE = {"gltf": write_gltf, "usd": write_usd, "materialx": write_mtlx}
-"""Formats that have textures and material in common; the others are written band by band."""
+"""Formats with common textures and material; the others are written band by band."""
 
 
 def run(context: Context) -> dict:

@@ -1,4 +1,4 @@
-"""The formats that a scene is exported to: how each is written, its errors, and those that several scenes share."""
+"""Register the export formats of a scene: how each is written, its errors, and formats shared by several scenes."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -52,7 +52,7 @@ class CodedErrors:
         self._squares, self._counts = np.zeros(lights), np.zeros(lights, np.int64)
 
     def add(self, number: int, shown: np.ndarray, values: np.ndarray, valid: np.ndarray) -> None:
-        """Add pixels (n, 3) under one light: what a viewer shows, the photograph, and where it counts (n,) bool."""
+        """Add pixels (n, 3) under one light: the viewer's picture, the photograph, and a mask (n,) to compare by."""
         self._squares[number] += np.sum((np.clip(shown[valid], 0, 1) - values[valid]) ** 2)
         self._counts[number] += 3 * np.count_nonzero(valid)
 
@@ -73,7 +73,7 @@ class CodedErrors:
         self._counts += others._counts
 
     def decibels(self, lights: slice = slice(None)) -> dict[str, float]:
-        """Return the PSNR, dB, peak 1, at most 120: some lights together and the worst; the number of lights."""
+        """Compute the PSNR, dB, peak 1, at most 120: some lights together and the worst; and count the lights."""
         squares, counts = self._squares[lights], self._counts[lights]
         means = squares / np.maximum(counts, 1)
         together = squares.sum() / max(counts.sum(), 1)
@@ -96,7 +96,7 @@ class GltfLook:
 
 
 class ExportedSurface(ABC):
-    """Mesh, look and errors, each made when the first format asks for it; stem: name of the files."""
+    """Mesh, look and errors, each computed for the first format that uses it; stem: name of the files."""
 
     stem: str
 
@@ -106,29 +106,29 @@ class ExportedSurface(ABC):
     @property
     @abstractmethod
     def mesh(self) -> TexturedMesh:
-        """Return the mesh, in metres where its unit is known."""
+        """Mesh, in metres where its unit is known."""
 
     @property
     @abstractmethod
     def unit(self) -> str:
-        """Return what a length of 1 in a file means."""
+        """Length of 1 unit in a file."""
 
     @property
     @abstractmethod
     def gltf_look(self) -> GltfLook:
-        """Return the look in the words of glTF."""
+        """Look in the terms of glTF."""
 
     @abstractmethod
     def look_of(self, name: str) -> SurfaceLook:
-        """Return the look that USD or MaterialX can hold."""
+        """Return the look within the limits of USD or MaterialX."""
 
     @abstractmethod
     def figures(self, name: str) -> dict:
-        """Return what the diagnostics say of a format besides its files and its error."""
+        """Return a format's figures for the diagnostics besides its files and its error."""
 
     @abstractmethod
     def errors(self, formats: list[str]) -> dict[str, dict]:
-        """Return PSNR against photographs of these formats."""
+        """Compute the PSNR of these formats against photographs."""
 
     @cached_property
     def _errors(self) -> dict[str, dict]:

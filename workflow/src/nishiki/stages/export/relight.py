@@ -1,4 +1,4 @@
-"""Relightable images as relight writes them and OpenLIME shows them, fitted to the photographs."""
+"""Write relightable images in the format of relight and OpenLIME, fitted to the photographs."""
 
 import itertools
 import json
@@ -35,9 +35,9 @@ from nishiki.threads import in_threads, over_items
 
 PTM = "painting.ptm"
 SAMPLES = 10_000
-"""Pixels from which components, ridge, width and the range of every plane are taken, evenly spread."""
+"""Number of evenly spread pixels for fitting components, ridge, width and the range of every plane."""
 CHECKED = 1 << 20
-"""Pixels on which the errors are measured."""
+"""Number of pixels for measuring the errors."""
 ENDS = 0.05  # percent of the samples beyond each end of a plane's range
 MARGIN = 0.05  # of that range, added at each end
 OWN_RANGE = 0.5  # share of a plane's own range in its scale
@@ -97,7 +97,7 @@ class StoredModel:
 
     @classmethod
     def of(cls, model: LightModel, lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> "StoredModel":
-        """With the range of every plane from sample pixels, and its steps from what it counts under lights (n, 3).
+        """Compute the range of every plane from sample pixels, and its steps from its weight under lights (n, 3).
 
         A step of every plane would err alike in the pictures where its scale is the largest range in pictures,
         divided by the plane's root mean square weight under the lights; that costs fewest bytes for an error, but
@@ -111,12 +111,12 @@ class StoredModel:
         return cls(model, scale, -(low - MARGIN * span) / scale)
 
     def codes(self, coefficients: np.ndarray) -> np.ndarray:
-        """Return (planes, n) uint8 of coefficients."""
+        """Quantise coefficients to (planes, n) uint8."""
         values = coefficients / self.scale[:, None] + self.bias[:, None]
         return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
 
     def transfer(self, lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return o (3 n, 1) and T (3 n, planes), float32: a viewer shows o + T codes under unit vectors (n, 3)."""
+        """Compute o (3 n, 1) and T (3 n, planes), float32: a viewer computes o + T codes under unit vectors (n, 3)."""
         transfers = [self.model.transfer(light) for light in lights]
         offsets = np.concatenate([offset for offset, _ in transfers])
         weights = np.concatenate([each.T for _, each in transfers])
@@ -152,7 +152,7 @@ class StoredModel:
         (folder / "info.json").write_text(text, encoding="utf-8")
 
     def info(self, frames: Observations, lights: np.ndarray, context: Context) -> dict:
-        """Return what the viewer reads."""
+        """Return the content of info.json."""
         rows, columns = frames.shape
         material = {"scale": self.scale.tolist(), "bias": self.bias.tolist()}
         content = {
@@ -196,7 +196,7 @@ class StoredModel:
     def errors(
         self, decoded: Iterator[DecodedRows], photographs: Photographs, hold_out: Collection[str]
     ) -> dict[str, dict[str, float]]:
-        """Return the PSNR of what viewers show of decoded codes against the coded photographs, by group of lights.
+        """Compute the PSNR of viewers' pictures from decoded codes against the coded photographs, by group of lights.
 
         Of large pictures some rows of each part are compared, about CHECKED pixels in all.
         """
@@ -223,7 +223,7 @@ class StoredModel:
 
 
 def write_layers(folder: Path, scene: ExportedScene, context: Context) -> None:
-    """Write normals.jpg and albedo.jpg for viewers that show layers, where one file does."""
+    """Write normals.jpg and albedo.jpg for viewers with layers, where one file suffices."""
     if max(scene.shape) > LARGEST_SINGLE:
         return
     everything = slice(0, scene.shape[0])

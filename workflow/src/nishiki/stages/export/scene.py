@@ -1,4 +1,4 @@
-"""What the formats of a painting are made from: its maps with their colours, the relief as a mesh, its photographs."""
+"""Read the inputs of a painting's formats: its maps with their colours, the relief as a mesh, its photographs."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -38,13 +38,13 @@ class ExportedScene(PaintingMaps):
         self._inputs = inputs
 
     def camera_colour(self) -> CameraColour:
-        """From the camera's channels to XYZ: fitted where the capture has spectra of camera and lamp, else assumed."""
+        """Return the map from camera channels to XYZ: fitted where the capture has spectra, else assumed."""
         channels = self.maps.group["reflectance"].shape[-1]
         to_srgb = Observations(self._inputs["ingest"].folder).to_srgb
         return read_camera_colour(self._inputs["ingest"].path("curves.npz"), channels, to_srgb)
 
     def to_srgb(self) -> np.ndarray:
-        """(3, K) from coefficients to linear sRGB: spectra under D65, else the camera's channels with white kept."""
+        """Compute (3, K) from coefficients to linear sRGB: spectra under D65, else camera channels with white kept."""
         if self.basis is not None:
             lamp = illuminant("D65")
             return srgb_matrix() @ adaptation_matrix(white_xyz(lamp), D65) @ xyz_matrix(lamp, self.basis)
@@ -52,11 +52,11 @@ class ExportedScene(PaintingMaps):
         return srgb_matrix() @ adaptation_matrix(colour.white, D65) @ colour.matrix
 
     def srgb(self, rows: slice) -> np.ndarray:
-        """Return (r, columns, 3) diffuse colour in linear sRGB; 0 where there is no estimate."""
+        """Compute (r, columns, 3) diffuse colour in linear sRGB; 0 where there is no estimate."""
         return np.where(self.known(rows)[..., None], np.nan_to_num(self.coefficients(rows)) @ self.to_srgb().T, 0)
 
     def to_xyz_d50(self) -> tuple[np.ndarray, str]:
-        """(3, K) from coefficients to XYZ under D50, white (0.9642, 1, 0.8249); where it comes from, in words."""
+        """Compute (3, K) from coefficients to XYZ under D50, white (0.9642, 1, 0.8249); return its source in words."""
         if self.basis is not None:
             lamp = illuminant("D50")
             matrix, how = xyz_matrix(lamp, self.basis), "spectra under D50"
@@ -68,7 +68,7 @@ class ExportedScene(PaintingMaps):
 
 
 def block_mean(values: np.ndarray, step: int) -> np.ndarray:
-    """Return means over squares of pixels (the last ones may be smaller), float64."""
+    """Average squares of pixels (the last ones may be smaller), float64."""
     if step == 1:
         return values.astype(np.float64)
     sums = np.asarray(values, np.float64)
@@ -157,7 +157,7 @@ def reliefs(scene: ExportedScene, most: int, *, colours: np.ndarray | None) -> I
 
 
 def _with_edges(values: np.ndarray, edges: tuple[int, int]) -> np.ndarray:
-    """Values (rows, columns, ...) with the first and last column once more, and so many more first and last rows."""
+    """Pad values (rows, columns, ...) by the first and last column, and so many first and last rows."""
     return np.pad(values, [edges, (1, 1), *[(0, 0)] * (values.ndim - 2)], mode="edge")
 
 
@@ -168,7 +168,7 @@ class Photographs:
     """The photographs as sRGB-coded colours relative to a white that faces the lamp."""
 
     pixels: int | None = None
-    """At a time, about; None: as many as are read at a time."""
+    """Approximate number of pixels at a time; None: as many as are read at a time."""
 
     def __init__(self, frames: Observations, scene: ExportedScene):
         colour = scene.camera_colour()
@@ -198,13 +198,13 @@ class Photographs:
                 yield part, *self.seen(model, pixels, self.coded(here), known)
 
     def fitted_model(self, band: slice) -> Any:
-        """Return what `seen` needs of a band besides its photographs."""
+        """Return the data that `seen` requires of a band besides its photographs."""
         return None
 
     def seen(
         self, model: Any, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return what is fitted of some pixels of a band; values (lights, 3, n), validity of the photographs there."""
+        """Return the fitted values of some pixels of a band; values (lights, 3, n), validity of the photographs."""
         return values, valid
 
     def samples(self, lights: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -282,6 +282,6 @@ class GridPictures(Photographs):
         return np.clip(nodes, -BEYOND, 1 + BEYOND, out=nodes), np.broadcast_to(known, (len(nodes), len(known)))
 
     def drawn(self, model: PlaneMaps, pixels: slice | np.ndarray) -> np.ndarray:
-        """Return (captured lights and nodes, 3, n) of the fitted model."""
+        """Render (captured lights and nodes, 3, n) of the fitted model."""
         seen = predict_observations(each_map(model, lambda values: values[:, pixels]), self._lamps)
         return np.concatenate([self.coded(each.values) for each in seen])

@@ -1,4 +1,4 @@
-"""Declaration of the stage `goniometer_samples`: settings, inputs, limits of its result, cost."""
+"""Declare the stage `goniometer_samples`: settings, inputs, limits of its result, cost."""
 
 from typing import Literal
 

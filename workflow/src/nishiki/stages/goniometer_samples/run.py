@@ -68,7 +68,7 @@ def run(context: Context) -> dict:
 
 
 def from_photographs(source: Measurements, context: Context) -> tuple[tuple[str, ...], Averaged, Readings]:
-    """Return names of the regions, and the readings of all photographs."""
+    """Read names of the regions, and the readings of all photographs."""
     settings, attributes = context.settings, source.attributes
     if source.regions is None and settings.window_px > max(attributes["shape"]):
         raise UserError(
@@ -153,12 +153,12 @@ def diagnostics(
 
 
 MOST_DISCS = 24
-"""Discs of the drawing; of more directions of light the spread is shown."""
+"""Maximum number of discs in the drawing; of more directions of light an even selection is drawn."""
 SIZE, RADIUS, ACROSS = 170, 66, 4
 
 
 def coverage_plot(measured: ReflectanceSet, lights: tuple[IncidenceCoverage, ...]) -> str:
-    """SVG text: a disc a direction of light; normal in the middle, horizon at the rim, weft to the right, warp up.
+    """Draw SVG text: a disc a direction of light; normal in the middle, horizon at the rim, weft to the right, warp up.
 
     Filled dots: measured; open: their mirror images, where the light allows; crosses: measured but not usable; the
     diamond is the light.

@@ -1,4 +1,4 @@
-"""Declaration of the stage `ingest`: settings, inputs, limits of its result, cost."""
+"""Declare the stage `ingest`: settings, inputs, limits of its result, cost."""
 
 from typing import Literal
 
@@ -23,7 +23,7 @@ LIMITS = (
 
 
 class Correct(Closed):
-    """What is put right where the photographs show it against each other; never: measured, and warned of."""
+    """Corrections based on comparing photographs with each other; never: measured, and warned of."""
 
     registration: Literal["auto", "never"] = Field(
         "auto", description="auto: photographs are moved back where the camera moved; never: they stay"

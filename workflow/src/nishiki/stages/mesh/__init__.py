@@ -1,4 +1,4 @@
-"""Declaration of the stage `mesh`: settings, inputs, limits of its result, cost."""
+"""Declare the stage `mesh`: settings, inputs, limits of its result, cost."""
 
 from typing import Literal
 
@@ -61,7 +61,7 @@ LIMITS = (
 
 
 class MeshSettings(Guarded, stage="mesh", version=7, limits=LIMITS):
-    """Where the object's surface comes from, and how many triangles it gets."""
+    """Source of the object's surface, and number of its triangles."""
 
     source: Literal["auto", "file", "scans", "silhouettes"] = Field(
         "auto", description="of the surface; auto: the first of these that the capture has"

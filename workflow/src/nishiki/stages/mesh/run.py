@@ -28,7 +28,7 @@ PREVIEW_ROWS = 480  # pixels
 
 
 def run(context: Context) -> dict:
-    """Find the surface, make it sound and light, and tell how well it fits the silhouettes."""
+    """Find the surface, clean and simplify it, and measure how well it fits the silhouettes."""
     settings = context.settings
     views = Views(context.inputs["ingest"].folder)
     document = read_cameras(context.inputs["cameras"].path("cameras.json"))
@@ -80,7 +80,7 @@ def run(context: Context) -> dict:
 
 
 def source_of(source: str, views: Views) -> str:
-    """Return where the surface comes from. UserError where the capture has not what was asked for."""
+    """Return the source of the surface. UserError where the capture lacks the requested one."""
     there = {"file": bool(views.geometry["mesh"]), "scans": bool(views.geometry["scans"]), "silhouettes": True}
     if source == "auto":
         return next(name for name, available in there.items() if available)
@@ -91,12 +91,12 @@ def source_of(source: str, views: Views) -> str:
 
 
 def kept(masks: list, used: list[bool]) -> list:
-    """Return masks of the views that may be used, None for the others."""
+    """Return masks of the usable views, None for the others."""
     return [mask if use else None for mask, use in zip(masks, used, strict=True)]
 
 
 def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], list, dict]:
-    """Return silhouettes, given or segmented; of the segmented ones what may lie in shadow, and figures by view."""
+    """Return silhouettes, given or segmented; parts of segmented ones possibly in shadow, and figures by view."""
     outlines, facts = [views.silhouette(name) for name in views.views], {}
     darks = [None if outline is None else np.zeros_like(outline) for outline in outlines]
     missing = [place for place, outline in enumerate(outlines) if outline is None] if needed else []
@@ -109,13 +109,13 @@ def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np
 
 
 def background_of(context: Context, views: Views) -> str:
-    """Return what is behind the object: the setting, else as the capture says."""
+    """Return the background: the setting, else the capture's."""
     named = context.settings.background
     return named if named != "capture" else views.attributes.get("background") or "auto"
 
 
 def expect_coherence(context: Context, views: Views, cameras: list[Camera], outlines: list) -> dict:
-    """Return figures of the coherence of outlines and cameras, before anything is made to fit.
+    """Measure the coherence of outlines and cameras, before any correction.
 
     Raises CaptureError with the remedy where they contradict each other, unless the limit `contradiction` is allowed.
     """
@@ -136,7 +136,7 @@ def expect_coherence(context: Context, views: Views, cameras: list[Camera], outl
 def overrule(
     context: Context, views: Views, cameras: list[Camera], masks: list[np.ndarray], darks: list, used: list[bool]
 ) -> tuple[list[np.ndarray], dict]:
-    """Return masks with what the hull of the other views adds to them, and figures of it; darks: see `overruled`.
+    """Extend masks by the hull of the other views, and return figures of the change; darks: see `overruled`.
 
     Given masks stay as they are unless the setting `misses` is a number.
     """
@@ -157,7 +157,7 @@ def overrule(
 def without_hollows(
     context: Context, views: Views, cameras: list[Camera], mesh: Mesh, masks: list[np.ndarray | None]
 ) -> tuple[Mesh, list[dict]]:
-    """Return the hull with the hollows that the photographs show, and figures of each."""
+    """Carve the hollows visible in the photographs out of the hull; return figures of each."""
     used = [place for place, mask in enumerate(masks) if mask is not None]
     hull = carve(masks, cameras, cells=HOLLOW_CELLS)
     coarse, _ = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
@@ -179,7 +179,7 @@ def read_file(context: Context, views: Views, cameras: list[Camera], mirror: lis
 
 
 def mirrored(vertices: np.ndarray, triangles: np.ndarray, mirror: list[int] | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same surface in a world that the cameras stage has turned back; triangles keep facing outwards."""
+    """Return the same surface in the unmirrored world of the cameras stage; triangles keep facing outwards."""
     if mirror is None:
         return vertices, triangles
     return vertices * np.array(mirror, np.float64), triangles[:, ::-1]
@@ -198,7 +198,7 @@ def merge_scans(context: Context, views: Views, cameras: list[Camera], mirror: l
 
 
 def sound(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]):
-    """`clean`, with the user told where nothing is left, or where no camera can see the surface."""
+    """Apply `clean`; raise UserError where nothing is left, or where a camera cannot see the surface."""
     try:
         mesh, defects = clean(vertices, triangles, cameras=cameras)
     except ValueError as error:
@@ -214,7 +214,7 @@ def sound(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]):
 
 
 def fit_of(mesh: Mesh, cameras: list[Camera], masks: list, used: list[bool]) -> dict | None:
-    """How well the mesh covers the silhouettes: intersection over union by view; held-out views apart."""
+    """Compute how well the mesh covers the silhouettes: intersection over union by view; held-out views apart."""
     known = [place for place, mask in enumerate(masks) if mask is not None]
     if not known:
         return None

@@ -1,4 +1,4 @@
-"""Declaration of the stage `mosaic`: settings, inputs, limits of its result, cost."""
+"""Declare the stage `mosaic`: settings, inputs, limits of its result, cost."""
 
 from pydantic import Field
 

@@ -42,7 +42,7 @@ class FieldMaps:
     terms: int
 
     def read(self, name: str, rows: slice) -> np.ndarray:
-        """Read rows of a map by its name in the mosaic; one that a field lacks has the values that mean nothing."""
+        """Read rows of a map by its name in the mosaic; a missing map of a field has neutral values."""
         if name == "mask":
             return BandedArray.of(self.frames.path / "mask")[rows]
         if name == "labels":
@@ -58,7 +58,7 @@ class FieldMaps:
         return values[..., : self.terms] if name == "shading" else values
 
     def as_field(self, stated_mm: tuple[float, float] | None) -> Field:
-        """Return the field as registration reads it; y of the stated position is up."""
+        """Return the field for the registration; y of the stated position is up."""
 
         def read(rows: slice, columns: slice) -> tuple[np.ndarray, np.ndarray]:
             known = (self.normals.read("flags", rows)[:, columns] & NO_ESTIMATE) == 0
@@ -213,7 +213,7 @@ def write_maps(
 
 
 def describe(placement: Placement, adjusted: dict, levels: Levels, seams: dict) -> dict:
-    """Return what the page shows of the mosaic, places in pixels (column, row)."""
+    """Return the mosaic's data for the page, places in pixels (column, row)."""
     fields = {}
     for i, field in enumerate(placement.fields):
         rows, columns = field.shape

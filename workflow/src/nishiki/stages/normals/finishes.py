@@ -1,4 +1,4 @@
-"""Choose the finishes of a scene by captured lamps left out: how many, where, and how normals are fitted on each."""
+"""Choose the finishes of a scene by held-out captured lamps: number, places, and the fit of normals on each."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ class Finish:
     inside: np.ndarray | None = None
 
     def error(self, name: str) -> np.ndarray:
-        """CIEDE2000 of the lamps left out that the others surround."""
+        """Return CIEDE2000 of the held-out lamps that the others surround."""
         return self.errors[name][self.inside]
 
     def gloss_gain(self, model: str | None) -> float | None:
-        """CIEDE2000 of lamps left out that gloss takes off the fit that was chosen; None where none were left out."""
+        """Compute the reduction of held-out CIEDE2000 by gloss in the chosen fit; None where no lamps were held out."""
         name = "joint" if self.joint else model
         return float((self.error(f"{name}, matt") - self.error(name)).mean()) if name in self.errors else None
 
@@ -74,7 +74,7 @@ class Finishes:
 
     @property
     def joint(self) -> list[GlossProfile | None]:
-        """The gloss with which normals are fitted, of each finish; None: from the selected lights alone."""
+        """Gloss for fitting the normals of each finish; None: from the selected lights alone."""
         return [part.profile if part.joint else None for part in self.parts]
 
     @property
@@ -153,7 +153,7 @@ def fitted_finish(
     inside: np.ndarray,
     clear: np.ndarray | bool,
 ) -> Finish:
-    """Fit one finish to lamps left out of the sample, and choose among the fits by its clear cells.
+    """Fit one finish, with lamps held out of the sample, and choose among the fits by its clear cells.
 
     member (cells,) bool: its cells; inside (lights,) bool: lamps that the others surround; clear (cells,) bool, or all.
     """
@@ -200,13 +200,13 @@ def fitted_finish(
 
 
 def predicted_error(parts: Sequence[Finish]) -> float:
-    """Return the CIEDE2000 of captured lamps left out, under the best fit of each finish."""
+    """Return the CIEDE2000 of captured lamps held out, under the best fit of each finish."""
     fits = ((part, ("joint",) if part.joint else MODELS) for part in parts if part.errors)
     return float(sum(part.share * min(part.errors[name].mean() for name in names) for part, names in fits))
 
 
 def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...], Decision | None]:
-    """Choose the partition that predicts lamps left out best; of one finish more it has to be better by LEAST_GAIN."""
+    """Choose the partition that best predicts held-out lamps; one more finish must improve it by LEAST_GAIN."""
     from nishiki.model_selection.relighting import LEAST_GAIN
 
     chosen = tried[0]
@@ -225,7 +225,7 @@ def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...
 
 
 def describe_refinement(parts: Sequence[Finish], settings: NormalsSettings) -> Decision | None:
-    """Say on which finishes normals are fitted together with gloss, and by what."""
+    """List the finishes whose normals are fitted together with gloss, and the gain."""
     looked_for = [part for part in parts if part.gloss is not None]
     if not looked_for:
         return None
@@ -292,7 +292,7 @@ def refitted_error(
     groups: np.ndarray,
     settings: NormalsSettings,
 ) -> np.ndarray:
-    """Return the error of normals (rows, columns), radians, that lamps left out show; 0 where there is no estimate.
+    """Compute the error of normals (rows, columns), radians, from held-out lamps; 0 where there is no estimate.
 
     Neighbouring lamps see the same wrong model, so that groups of them are left out in turn (delete-a-group jackknife;
     R. G. Miller, Biometrika 61, 1974). observations, usable, valid as of `solve`; groups (lights,) of
@@ -328,7 +328,7 @@ def strided_pieces(
 
 
 def sampled_pixels(frames: Observations, selection: Maps | None, lights: np.ndarray, pixels: int) -> list[Sampled]:
-    """Return about `pixels` pixels of the object by cells, or regions of the capture, the same on every machine."""
+    """Sample about `pixels` pixels of the object by cells, or regions of the capture, the same on every machine."""
     from nishiki.model_selection.relighting import Sampled
     from nishiki.photometric.gloss_scene import SIDE
 

@@ -123,7 +123,7 @@ def relit(
     kept: np.ndarray | bool = False,
     always: bool = False,
 ) -> dict:
-    """Fit the maps that predict lamps again to the samples of a parcel; with many lights `plain` keeps its own.
+    """Fit the maps for predicting lamps again to the samples of a parcel; with many lights `plain` keeps its own.
 
     kept : (rows, columns) bool, pixels that keep their maps; always : with many lights too.
     """
@@ -143,5 +143,5 @@ def relit(
 
 
 def aligned(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Return the mask (rows, columns) with as many axes as the map."""
+    """Reshape the mask (rows, columns) to as many axes as the map."""
     return mask.reshape(mask.shape + (1,) * (values.ndim - 2))

@@ -38,13 +38,13 @@ SCALES = 2.0 ** np.arange(-2, 0.1, 0.5)  # of the level at which they do: withou
 
 @dataclass(frozen=True)
 class Thrown:
-    """Hold the shares (r, c, lights * channels) of a grid of facets, whose edges are these in pixels."""
+    """Shares (r, c, lights * channels) of interreflected light on a grid of facets, whose edges are these in pixels."""
 
     shares: np.ndarray
     edges: Edges
 
     def taken_off(self, observations: np.ndarray, rows: slice) -> np.ndarray:
-        """Return observations (lights, rows, columns, channels) of some rows without the light of other places."""
+        """Subtract interreflected light from observations (lights, rows, columns, channels) of some rows."""
         from nishiki.photometric.interreflection import taken_off
 
         lights, *picture, channels = observations.shape
@@ -55,7 +55,7 @@ class Thrown:
 def find_thrown_light(
     frames: Observations, lights: np.ndarray, settings: NormalsSettings
 ) -> tuple[Thrown | None, Decision | None]:
-    """Return the light that the object throws on itself where it counts, and the decision.
+    """Estimate interreflections of the object where they are significant, and return the decision.
 
     It counts where a tenth of the object receives COUNTS of its light or more from other places, and captured lamps
     that are left out in turn are predicted better with it. Under near lamps nothing is looked for.
@@ -97,7 +97,7 @@ def find_thrown_light(
 
 
 def facet_of(frames: Observations) -> int:
-    """Side of a facet in pixels."""
+    """Compute the side of a facet in pixels."""
     return max(1, -(-max(frames.shape) // SIDE))
 
 
@@ -236,7 +236,7 @@ def map_tiles(context: Context) -> dict:
 
 
 def merge(context: Context, tallies: list[dict]) -> dict:
-    """Return counts of pixels and of flags; standard error of the direction, degrees, over a sample of the pixels."""
+    """Count pixels and flags; compute the directional standard error, degrees, over a sample of the pixels."""
     counts: Counter[str] = Counter()
     for tally in tallies:
         counts.update(tally["counts"])
@@ -248,7 +248,7 @@ def merge(context: Context, tallies: list[dict]) -> dict:
 def fit_lights(
     frames: Observations, selection: Maps | None, settings: NormalsSettings
 ) -> tuple[np.ndarray, Decision | None]:
-    """Return the indices of the lights of the fit: those that separate chose; chosen here where it was left out."""
+    """Return the indices of the lights of the fit: those chosen by separate; chosen here without it."""
     if selection is not None:
         return np.array([frames.lights.index(name) for name in selection.group.attrs["lights"]], np.int64), None
     lights = frames.fit_lights(settings.hold_out)
@@ -296,7 +296,7 @@ AXES = tuple(
 
 @dataclass(frozen=True)
 class GivenNormals:
-    """Codes (rows, columns, 3) of the field, what turns them to vectors (full scale, 0: as they are), and its axes."""
+    """Codes (rows, columns, 3) of the field, their full scale (0: vectors as they are), and its axes."""
 
     codes: np.ndarray
     full: float
@@ -322,18 +322,18 @@ class GivenNormals:
 
 
 def correlation(first: np.ndarray, second: np.ndarray) -> float:
-    """Return the correlation of two lists of numbers; 0 where one does not vary."""
+    """Compute the correlation of two lists of numbers; 0 where one does not vary."""
     a, b = first - first.mean(), second - second.mean()
     return float(a @ b / max(np.sqrt((a @ a) * (b @ b)), np.finfo(np.float32).tiny))
 
 
 def angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the angles (...), radians, between unit vectors (..., 3)."""
+    """Compute the angles (...), radians, between unit vectors (..., 3)."""
     return np.arccos(np.clip(np.sum(first * second, axis=-1), -1, 1)).astype(np.float32)
 
 
 def find_given(frames: Observations, facets: Facets, step: int, path: Path) -> tuple[GivenNormals, dict[str, Any]]:
-    """Read the map that the settings name, find its axes by our own normals of facets, and compare the two.
+    """Read the map named in the settings, find its axes by our own normals of facets, and compare the two.
 
     Lamps left out cannot decide between the two: normals that were fitted to photographs predict them better than the
     true ones (docs/notes/stages/normals.md). So the user decides by giving a map; what is measured of it is stated.

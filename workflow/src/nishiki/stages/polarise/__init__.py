@@ -1,4 +1,4 @@
-"""Declaration of the stage `polarise`: settings, inputs, limits of its result, cost."""
+"""Declare the stage `polarise`: settings, inputs, limits of its result, cost."""
 
 from typing import Literal
 

@@ -90,7 +90,7 @@ def run(context: Context) -> dict:
 def separate(
     views: Views, place: int, light: str, sums: StateSums, settings: PolariseSettings, board: Beta | None
 ) -> tuple[SeparatedView, SeparationStatistics, dict]:
-    """Components of one view, statistics of those that the formulas alone give, and what its series says of itself."""
+    """Compute components of one view, statistics of those by the formulas alone, and diagnostics of its series."""
     thinned = Thinned(sums, views.shape, len(views.channels))
     planes, valid = sum_planes(photographs(views, place, light, thinned), sums.weights)
     facts = diagnose(sums, thinned)
@@ -132,7 +132,7 @@ def separate(
 
 
 def smoothing_diagnostics(before: SeparatedView, after: SeparatedView, noise: PhotographNoise | None) -> dict:
-    """Return noise of the photographs, and root mean square by which the smoothing changed the components."""
+    """Compute the noise of the photographs, and the root mean square change of the components by smoothing."""
     pairs = {"diffuse": (before.diffuse, after.diffuse), "specular": (before.specular, after.specular)}
     changes = {name: (new - old)[after.valid] for name, (old, new) in pairs.items()}
     return {
@@ -153,7 +153,7 @@ def photographs(views: Views, place: int, light: str, thinned: Thinned) -> Itera
 
 
 def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSettings) -> Beta | None:
-    """beta (circular) or the analyser's transmission (else) by place, from the white boards; None without boards.
+    """Compute beta (circular) or the analyser's transmission (else) by place, from the white boards; None without.
 
     UserError where circular states have neither boards nor a given beta.
     """
@@ -188,7 +188,7 @@ def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSetti
 
 
 def unit_of(views: Views, sums: StateSums, boards: dict[str, Beta | None]) -> str:
-    """Return what the value 1 is: "white board", or "full scale" of the photographs at the longest exposure time.
+    """Return the meaning of 1: "white board", or "full scale" of the photographs at the longest exposure time.
 
     Boards behind circular polarisers give beta alone; those behind analysers divide the components.
     """
@@ -197,7 +197,7 @@ def unit_of(views: Views, sums: StateSums, boards: dict[str, Beta | None]) -> st
 
 
 def totals(statistics: list[SeparationStatistics]) -> dict:
-    """Return means over the views that have anything valid."""
+    """Average figures over the views that have valid pixels."""
     known = [one for one in statistics if one.diffuse is not None]
     names = ("diffuse", "specular", "negative", "negative_mean", "noise", "doubtful")
     mean = {name: [getattr(one, name) for one in known if getattr(one, name) is not None] for name in names}
@@ -223,6 +223,6 @@ def picture(context: Context, name: str, place: int, view: SeparatedView, exposu
 
 
 def display(linear: np.ndarray) -> np.ndarray:
-    """Return (rows, columns, 3) uint8 sRGB of linear values: one channel as grey, of three or more the first three."""
+    """Convert linear values to (rows, columns, 3) uint8 sRGB: one channel as grey, of three or more the first three."""
     colours = linear[..., :3] if linear.shape[-1] >= 3 else np.repeat(linear[..., :1], 3, axis=-1)
     return np.rint(255 * encode(np.clip(colours, 0, 1), "srgb")).astype(np.uint8)

@@ -21,7 +21,7 @@ class LightSettings(Closed):
 
 
 class ViewSettings(Closed):
-    """From where the picture is seen."""
+    """Viewpoint of the picture."""
 
     kind: Literal["frontal", "pinhole"] = Field("frontal", description="frontal: orthographic, the pixels of the maps")
     elevation_deg: float = Field(90, gt=0, le=90, description="pinhole: of the eye above the plane")
@@ -56,7 +56,7 @@ class SequenceSettings(Closed):
 
 
 MOST_MEGAPIXELS = 24.0
-"""As cameras have; pictures of them take 4 GiB."""
+"""Largest size of photographs from usual cameras; their pictures take 4 GiB."""
 
 
 class RenderSettings(Guarded, stage="render", version=3):
@@ -94,7 +94,7 @@ def illuminants(settings: RenderSettings) -> set[str]:
 
 
 def _pictured(megapixels: float) -> float:
-    """Megapixels at most that pictures of a painting are made from."""
+    """Return the largest size in megapixels for pictures of a painting."""
     return megapixels if megapixels <= MOST_MEGAPIXELS else MOST_MEGAPIXELS / 2
 
 
@@ -132,7 +132,7 @@ class ObjectFilmSettings(Closed):
 
 
 class ObjectLampSettings(Closed):
-    """A lamp of one's own, fixed to the camera."""
+    """Lamp chosen by the user, fixed to the camera."""
 
     azimuth_deg: float = Field(90, ge=-360, le=360, description="from the right of the picture, upwards")
     elevation_deg: float = Field(45, ge=-90, le=90, description="above the picture's plane, towards the camera")
@@ -198,7 +198,7 @@ class MeshSettings(Closed):
 
 
 class ClothViewSettings(Closed):
-    """A camera that holds the whole surface in its picture."""
+    """Camera that frames the whole surface."""
 
     elevation_deg: float = Field(21, ge=-10, le=89)
     azimuth_deg: float = Field(12, ge=-360, le=360, description="from the front, to the right")
@@ -264,7 +264,7 @@ class ClothRenderSettings(Guarded, stage="cloth_render", version=2):
 
 
 def with_digest_of_mesh(mesh: MeshSettings | None, stage: str) -> dict:
-    """Return what the plan fills in for a stage: the digest of the file, where the settings state none."""
+    """Return the settings filled in by the plan: the digest of the file, where the settings state none."""
     if mesh is None or mesh.sha256:
         return {"mesh": mesh}
     return {"mesh": mesh.model_copy(update={"sha256": digest_of(mesh.file, f"{stage}.mesh.file")})}

@@ -17,13 +17,13 @@ from nishiki.render.display import DisplayImage, developed, exposure_for, write_
 from nishiki.stages.render import ClothRenderSettings, MeshSettings
 
 FINEST_SIDE = 193
-"""Points along a side of the drawn cloth, half as many again as the shipped surface has."""
+"""Points along a side of the drawn cloth, 1.5 times as many as the shipped surface has."""
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 
 @dataclass(frozen=True)
 class DrapedCloth:
-    """A draped surface; uv (v, 2): texture coordinates, u along the weft, or None; about: what is to be said of it."""
+    """A draped surface; uv (v, 2): texture coordinates, u along the weft, or None; about: notes for the report."""
 
     surface: Surface
     uv: np.ndarray | None
@@ -73,7 +73,7 @@ def lights_of(settings: ClothRenderSettings) -> list[Lighting]:
 
 
 def room(settings: ClothRenderSettings) -> dict:
-    """Return light from around, and the paper."""
+    """Return the ambient light, and the paper."""
     return {"level": settings.around, "reflectance": settings.paper}
 
 
@@ -85,7 +85,7 @@ def in_view(settings: ClothRenderSettings, surface: Surface, rows: int, columns:
 
 
 BRIGHTEST = 0.95
-"""Share of the display's white that the bright parts of the pictures may reach."""
+"""Share of the display's white for the bright parts of the pictures, at most."""
 
 
 def run(context: Context) -> dict:
@@ -129,7 +129,7 @@ def run(context: Context) -> dict:
 
 
 def exposed(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> float:
-    """Return the factor of the PNG pictures, at which a white sheet that faces the brightest lamp is white.
+    """Compute the factor of the PNG pictures at which a white sheet facing the brightest lamp is white.
 
     A black cloth stays black; less where the bright parts of the cloth would then exceed the display's white.
     """
@@ -147,7 +147,7 @@ def shown(settings: ClothRenderSettings, picture: ClothPicture, exposure: float)
 
 
 def swatches(context: Context, brdf: Brdf, cloths: Mapping[str, Brdf]) -> dict:
-    """Cylinders: warp upright, oblique and around, as measured or in the first dye."""
+    """Render cylinders: warp upright, oblique and around, as measured or in the first dye."""
     settings = context.settings
     columns, rows = settings.view.columns, round(settings.view.columns * 0.62)
     view = Viewpoint(np.radians(12), 0.0, 2.6, rows, columns)
@@ -158,7 +158,7 @@ def swatches(context: Context, brdf: Brdf, cloths: Mapping[str, Brdf]) -> dict:
 
 
 def save(context: Context, name: str, picture: ClothPicture, exposure: float) -> dict:
-    """Write linear EXR and 8-bit PNG; return what the PNG could not show."""
+    """Write linear EXR and 8-bit PNG; return the losses of the PNG."""
     path, settings = context.output.path, context.settings
     write_exr(path(f"{name}.exr"), picture.linear, stamp=context.stamp, colours="srgb", coverage=picture.coverage)
     image = shown(settings, picture, exposure)
@@ -174,7 +174,7 @@ def save(context: Context, name: str, picture: ClothPicture, exposure: float) ->
 
 
 def film(context: Context, surface: Surface, brdf: Brdf) -> tuple[dict, list[str]]:
-    """Film the cloth; return what was written, and notes."""
+    """Film the cloth; return the result, and notes."""
     block = context.settings.film
     if block is None:
         return {}, []

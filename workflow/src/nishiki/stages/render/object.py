@@ -76,7 +76,7 @@ def own_lamps(settings: ObjectRenderSettings) -> FreeLighting | None:
 
 
 def _refuse_what_needs_lamps(settings: ObjectRenderSettings) -> None:
-    """Raise UserError where light that goes with `lamps` is set without any of them."""
+    """Raise UserError where settings that require `lamps` are given without any of them."""
     fields = ObjectRenderSettings.model_fields
     for name in ("around", "shadows", "shadow_rays"):
         if getattr(settings, name) != fields[name].default:
@@ -110,7 +110,7 @@ def stills(decoded: DecodedObject, renderer: ObjectRenderer, settings: ObjectRen
 
 
 def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, picture: ObjectPicture) -> dict:
-    """Write linear EXR with alpha, 8-bit PNG, and normals and depth where asked for."""
+    """Write linear EXR with alpha, 8-bit PNG, and normals and depth where requested."""
     settings, stamp = context.settings, context.stamp
     alpha = np.where(picture.reached, coverage(renderer.mesh, shot.camera), 0).astype(np.float32)
     linear = three_channels(picture.linear)
@@ -131,7 +131,7 @@ def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, pict
 
 
 def film(context: Context, renderer: ObjectRenderer, lights: tuple[tuple[int, float], ...]) -> tuple[dict, list[str]]:
-    """Film the object turning; return what was written, and notes."""
+    """Film the object turning; return the result, and notes."""
     settings = context.settings
     if settings.film is None:
         return {}, []

@@ -112,7 +112,7 @@ def paint(
 
 
 def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
-    """Write linear EXR and 8-bit sRGB PNG; return what the PNG clipped and what was flagged."""
+    """Write linear EXR and 8-bit sRGB PNG; return clipped and flagged parts of the PNG."""
     coverage = None if picture.view.kind == "frontal" else made.coverage
     write_exr(context.output.path(f"{picture.name}.exr"), made.xyz, stamp=context.stamp, coverage=coverage)
     exposure = picture.exposure
@@ -129,12 +129,12 @@ def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
 
 
 def is_bounded(context: Context) -> bool:
-    """Return whether the light of the photographs is known, so that a black object is to stay dark."""
+    """Check whether the light of the photographs is known, so that a black object stays dark."""
     return not Maps(context.inputs["normals"].folder).group.attrs.get("unbalanced")
 
 
 def seen(made: Rendering) -> np.ndarray:
-    """Return pixels (rows, columns) of the picture that show the object."""
+    """Select pixels (rows, columns) of the picture that show the object."""
     return (made.coverage > 0.5) & ((made.flags & UNUSABLE) == 0)
 
 
@@ -188,7 +188,7 @@ def orbit(view: View, count: int) -> Iterator[View]:
 
 
 LAMP_RADIUS_RAD = np.radians(0.75)
-"""Radius of a lamp as the object sees it: the soft edge of cast shadows."""
+"""Angular radius of a lamp at the object: the soft edge of cast shadows."""
 FIELD_OF_VIEW_MARGIN = 1.05  # around the painting
 CENTRING_STEPS = 8  # of the camera's target; the middle of the object converges in a few
 NEAREST = 1e-3  # depth of points beside or behind the eye, in lengths of the object
@@ -196,7 +196,7 @@ LONGER_SIDE, SHORTEST_SIDE = 1024, 16  # pixels of a picture whose size the sett
 
 
 def direction(elevation_deg: float, azimuth_deg: float) -> np.ndarray:
-    """Return unit vector (3,) at an elevation above the object's plane, azimuth from x (right) towards y (up)."""
+    """Compute the unit vector (3,) at an elevation above the object's plane, azimuth from x (right) towards y (up)."""
     elevation, azimuth = np.radians([elevation_deg, azimuth_deg])
     return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
@@ -210,7 +210,7 @@ def distant_lamp(settings: LightSettings, spectrum: np.ndarray) -> Light:
 
 
 def view_of(settings: ViewSettings, scene: PlaneScene) -> View:
-    """Return the frontal view pixel by pixel, or a pinhole camera whose picture the object fills.
+    """Return the frontal view pixel by pixel, or a pinhole camera that frames the object.
 
     The object is where the maps have normals: a small one in a large frame is framed as if it were alone. Where the
     settings leave a side of the picture open, the picture has the proportions of the object as the eye sees it.
@@ -247,7 +247,7 @@ def view_of(settings: ViewSettings, scene: PlaneScene) -> View:
 
 
 def outline(scene: PlaneScene) -> np.ndarray:
-    """(N, 3) outer corners of the first and last pixel with a normal in each row; z = 0, in the unit of the pitch.
+    """Compute (N, 3) outer corners of the first and last pixel with a normal in each row; z = 0, in the pitch's unit.
 
     All four corners of the maps where no pixel has one.
     """
@@ -265,7 +265,7 @@ def outline(scene: PlaneScene) -> np.ndarray:
 
 
 def _picture_size(settings: ViewSettings, proportion: float) -> tuple[int, int]:
-    """Return (rows, columns): as given; a side left open by the proportion (height over width) of the object."""
+    """Compute (rows, columns): as given; a missing side by the proportion (height over width) of the object."""
     rows, columns = settings.rows, settings.columns
     if rows is None and columns is None:
         rows, columns = (None, LONGER_SIDE) if proportion <= 1 else (LONGER_SIDE, None)
@@ -276,12 +276,12 @@ def _picture_size(settings: ViewSettings, proportion: float) -> tuple[int, int]:
 
 
 def white_sheet(lights: Iterable[LightSettings], ambient: float) -> float:
-    """Luminance of a perfect white sheet that lies in the plane of the object, 1: one that faces a lamp."""
+    """Compute the luminance of a perfect white sheet in the plane of the object; 1: one that faces a lamp."""
     return ambient + sum(light.intensity * float(np.sin(np.radians(light.elevation_deg))) for light in lights)
 
 
 def film_view(settings: SequenceSettings, scene: PlaneScene) -> View:
-    """View of a film: frontal at its width, or a pinhole camera at its elevation; even sides, as H.264 wants them."""
+    """Return the view of a film: frontal at its width, or a pinhole camera at its elevation; even sides for H.264."""
     rows, columns = scene.shape
     width = min(settings.columns, columns) if settings.moves == "light" else settings.columns
     width += width % 2

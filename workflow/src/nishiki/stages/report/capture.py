@@ -1,4 +1,4 @@
-"""The sections of a page on the capture and on the exported files with their losses."""
+"""Write the sections of a page on the capture and on the exported files with their losses."""
 
 from typing import Any
 
@@ -23,13 +23,13 @@ SATURATION = (
     "several per cent mean too long an exposure."
 )
 LEAST_SATURATED = 1e-4
-"""Share of the object below which a light's saturation is not worth a bar."""
+"""Least saturated share of the object for which a light has a bar."""
 
 
 def capture_section(
     diagnostics: dict[str, Any], *, lights: list[str], kinds: list[str], directions: np.ndarray
 ) -> Section:
-    """diagnostics : of the stage ingest; kinds : of the lights (see `kind_of`); directions : (lights, 3)."""
+    """Write the section. diagnostics : of ingest; kinds : of the lights (see `kind_of`); directions : (lights, 3)."""
     blocks: list[Block] = ["Ingest had nothing to warn of."]
     if diagnostics["warnings"]:
         blocks = [Note(["Ingest warned:"]), Note(diagnostics["warnings"], listed=True, warning=True)]
@@ -58,7 +58,7 @@ def capture_section(
 
 
 def _corrected(corrections: dict[str, Any]) -> Table | None:
-    """Return one row a photograph that was put right or left out: what it showed before, and what was done."""
+    """Return one row a photograph that was corrected or omitted: measurements before, and the correction."""
     done = corrections.get("done", {})
     rows = []
     for name, row in corrections.get("photographs", {}).items():
@@ -79,12 +79,12 @@ def _corrected(corrections: dict[str, Any]) -> Table | None:
 
 
 def kind_of(name: str, role: str, held_out: list[str]) -> str:
-    """sample | check | held out."""
+    """Return sample, check or held out."""
     return "check" if role == "check" else ("held out" if name in held_out else "sample")
 
 
 def facts_of_object(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
-    """Label and text of what is known of the capture of an object."""
+    """List label and text of each fact on the capture of an object."""
     capture = diagnostics["capture"]
     facts = about_capture(diagnostics)
     views, states = len(diagnostics["views"]), [state for state in diagnostics["states"] if state]
@@ -102,7 +102,7 @@ def facts_of_object(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def about_capture(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return what capture.yaml says of the object, the photographer and the camera, and how codes became light."""
+    """List object, photographer and camera from capture.yaml, and the conversion of codes to light."""
     capture = diagnostics["capture"]
     facts = [(label, str(capture[key])) for key, label in FACTS if capture.get(key)]
     camera = capture.get("camera") or {}
@@ -115,7 +115,7 @@ def about_capture(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
 def facts_of_painting(
     diagnostics: dict[str, Any], channels: list[str], pitch_mm: float | None, kinds: list[str]
 ) -> list[tuple[str, str]]:
-    """Label and text of what is known of the capture of a painting."""
+    """List label and text of each fact on the capture of a painting."""
     rows, columns = diagnostics["rows"], diagnostics["columns"]
     capture = diagnostics["capture"]
     facts = about_capture(diagnostics)
@@ -198,7 +198,7 @@ def export_section(export: Artifact | None) -> Section | None:
 
 
 def lost(each: dict) -> str:
-    """Return what a format loses, in words."""
+    """Describe the loss of a format in words."""
     texts = []
     if "largest_deg" in each:
         texts.append(f"16 bits move a normal by at most {figure(each['largest_deg'])}°")

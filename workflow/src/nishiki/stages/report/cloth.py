@@ -65,7 +65,7 @@ def run(context: Context) -> dict:
 
 
 def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[Metric]:
-    """List the figures that matter most. samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
+    """List the most important figures. samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
     tiles = [Metric(samples["directions"], "", "pairs of directions measured")]
     if evaluation is not None:
         default = evaluation["default"]
@@ -173,7 +173,7 @@ def coverage_section(samples: Artifact) -> Section:
 
 
 def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[str, str]]:
-    """Label and text of what is known of the measurements; capture : diagnostics of ingest, if there are any."""
+    """List label and text of each fact on the measurements; capture : diagnostics of ingest, if there are any."""
     about = capture.get("capture") or {}
     rows = [(label, str(about[key])) for key, label in FACTS if about.get(key)]
     directions, along = diagnostics["directions"], diagnostics["normal_incidence"]
@@ -284,7 +284,7 @@ def tile_picture(data: bytes, widest: int) -> PagePicture:
 
 
 def summary(entry: dict[str, Any]) -> str:
-    """Return the fit in a few sentences: what it says of the weave, and how sure that is."""
+    """Describe the fit in a few sentences: the weave, and its certainty."""
     yarns = entry["yarns"]
     if not yarns["determined"]:
         return (
@@ -304,14 +304,14 @@ def summary(entry: dict[str, Any]) -> str:
 
 
 def unexplained(entry: dict[str, Any]) -> str:
-    """Return what the published sections leave of the reflectance, in words."""
+    """Describe the reflectance not explained by the published sections."""
     errors = entry["rms_rel"]
     weft, warp = (f"{100 * errors[plane]:.1f} %" for plane in PLANES)
     return f"the sections leave {weft} unexplained in the plane of the weft and {warp} in that of the warp"
 
 
 def section_words(section: dict[str, float]) -> str:
-    """Return main numbers of a section."""
+    """Format the main numbers of a section."""
     text = f"flanks at {np.degrees(section['theta_a']):.1f}°"
     if "n" not in section:
         return f"{text}."
@@ -320,7 +320,7 @@ def section_words(section: dict[str, float]) -> str:
 
 
 def yarn_table(yarns: dict[str, Any], confidence: float) -> Table:
-    """Return every number of the weave of elliptical yarns with its interval; no value where nothing tells it."""
+    """Tabulate the weave of elliptical yarns with intervals; no value for undetermined numbers."""
     rows: list[list[Cell]] = []
     for name, words in YARN_MEANINGS.items():
         number = yarns["parameters"][name]
@@ -335,7 +335,7 @@ def yarn_table(yarns: dict[str, Any], confidence: float) -> Table:
 
 
 def parameters(region: dict[str, Any], at_bounds: Sequence[str] = ()) -> list[list[Cell]]:
-    """Name, value, ends of the interval and meaning of each parameter of the sections, from a region's diagnostics."""
+    """List name, value, ends of the interval and meaning of each parameter of a region's sections."""
     rows: list[list[Cell]] = []
     for name, value in (region.get("parameters") or {}).items():
         stem, _, plane = name.rpartition("_")
@@ -349,7 +349,7 @@ def parameters(region: dict[str, Any], at_bounds: Sequence[str] = ()) -> list[li
 
 
 def curve(values: dict[str, Any], plane: str) -> Figure:
-    """Measured and fitted reflectance of one plane."""
+    """Draw measured and fitted reflectance of one plane."""
     angle, measured, gloss, body = (np.array(values[name]) for name in ("theta_r_deg", "measured", "gloss", "body"))
     curves = [
         Curve("interpolated" if values["interpolated"] else "measured", angle, measured, colour=INK, dots=True),
@@ -361,7 +361,7 @@ def curve(values: dict[str, Any], plane: str) -> Figure:
 
 
 def notes(entry: dict[str, Any]) -> list[str]:
-    """Return what the data cannot tell of the sections, by the names of the table's parameters."""
+    """List what the data do not determine of the sections, by the names of the table's parameters."""
     identifiability = entry.get("identifiability") or {}
     texts = []
     free = identifiability.get("free") or []  # products of powers; of lengths alone, no common scale is ever known

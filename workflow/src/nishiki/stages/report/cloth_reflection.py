@@ -1,4 +1,4 @@
-"""The sections of a cloth's page on its reflection: discs of all views, lobes, and errors of the models."""
+"""Write the sections of a cloth's page on its reflection: discs of all views, lobes, and errors of the models."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -15,9 +15,9 @@ from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, 
 INCIDENCES_DEG = (0, 30, 60)
 AZIMUTHS = {"warp": np.pi / 2, "weft": 0.0}
 STEEPEST_DEG = 80
-"""Steepest view of the drawn lobes: at grazing views a cloth can be so bright that nothing else would be seen."""
+"""Steepest view of the drawn lobes: at grazing views a cloth can outshine all others."""
 DISC = 168
-"""Pixels along a side of a view disc."""
+"""Side of a view disc in pixels."""
 MODEL_NAMES = {
     "yarns": "interlaced yarns",
     "yarn_facets": "facets on yarns",
@@ -27,7 +27,7 @@ MODEL_NAMES = {
 
 
 def model_name(kind: str) -> str:
-    """Return a model in words."""
+    """Return the name of a model in words."""
     return MODEL_NAMES.get(kind, kind.replace("_", " "))
 
 
@@ -73,14 +73,14 @@ Lobe = tuple[str, np.ndarray, np.ndarray]
 
 
 def lobes(evaluate: Callable[[float, float, np.ndarray], np.ndarray], azimuth: float) -> list[Lobe]:
-    """Return lobes in the plane of the light at this azimuth. evaluate(degrees, azimuth, directions): the BRDF."""
+    """Compute lobes in the plane of the light at this azimuth. evaluate(degrees, azimuth, directions): the BRDF."""
     angle = np.radians(np.arange(-STEEPEST_DEG, STEEPEST_DEG + 1))
     along = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
     return [(f"light at {degrees}°", angle, evaluate(degrees, azimuth, along)) for degrees in INCIDENCES_DEG]
 
 
 def light(degrees: float, azimuth: float) -> np.ndarray:
-    """Return unit vector (3,) towards a light."""
+    """Compute the unit vector (3,) towards a light."""
     theta = np.radians(degrees)
     return np.array([np.sin(theta) * np.cos(azimuth), np.sin(theta) * np.sin(azimuth), np.cos(theta)])
 
@@ -107,7 +107,7 @@ def table_of_models(models: dict[str, dict], default: str) -> Table:
 
 
 def disc_directions(size: int = DISC) -> tuple[np.ndarray, np.ndarray]:
-    """Return unit vectors (n, 3) of the pixels inside a disc of views seen from above, and the mask (size, size).
+    """Compute unit vectors (n, 3) of the pixels inside a disc of views from above, and the mask (size, size).
 
     Distance from the middle grows evenly with the polar angle; x (weft) to the right, y (warp) up.
     """
@@ -121,7 +121,7 @@ def disc_directions(size: int = DISC) -> tuple[np.ndarray, np.ndarray]:
 
 
 def disc_picture(values: np.ndarray, inside: np.ndarray, low: float, high: float) -> PagePicture:
-    """Return logarithmic picture of values (n,) at the pixels of a disc; white outside."""
+    """Draw a logarithmic picture of values (n,) at the pixels of a disc; white outside."""
     table, picture = heat(), np.full((*inside.shape, 3), 255, np.uint8)
     logs = np.log10(np.maximum(values, 1e-12))
     picture[inside] = coloured(logs[None], table, np.log10(low), np.log10(high))[0]
@@ -130,7 +130,7 @@ def disc_picture(values: np.ndarray, inside: np.ndarray, low: float, high: float
 
 
 def lobes_plot(parts: list[Lobe], *, width: int = 520, height: int = 330) -> str:
-    """Return half-plane polar diagram of lobes; one scale for all.
+    """Draw lobes in a half-plane polar diagram; one scale for all.
 
     The distance from the foot is the square root of the value, so that weak lobes beside strong ones still show.
     """
@@ -165,7 +165,7 @@ INTRODUCTION = (
 
 
 def errors_section(evaluation: dict[str, Any] | None) -> Section | None:
-    """For each region: error against incidence as table and chart. evaluation : evaluation.json."""
+    """Write the error against incidence of each region as table and chart. evaluation : evaluation.json."""
     if evaluation is None:
         return None
     blocks: list[Block] = [INTRODUCTION]
@@ -181,7 +181,7 @@ def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
         return [Note(["Every measurement was used by a fit, so nothing is said of directions that were not measured."])]
 
     def order(name: str) -> tuple:
-        """Put the default model first, the rest by error on what was held out, least first."""
+        """Sort models: the default first, the rest by their error on held-out data, least first."""
         error = mean_error((region["models"][name].get("held_out") or {}).get("by_incidence") or {})
         return name != default, float("inf") if error is None else error, name
 
@@ -226,7 +226,7 @@ def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
 
 
 def mean_error(parts: dict[str, dict]) -> float | None:
-    """Return mean relative error over incidences."""
+    """Return the mean relative error over incidences."""
     values = [part["rms_rel"] for part in parts.values()]
     return float(np.mean(values)) if values else None
 
@@ -253,7 +253,7 @@ def lines_of(models: Sequence[str], default: str) -> dict[str, dict[str, Any]]:
 
 
 def error_chart(models: dict[str, dict], default: str) -> str:
-    """Relative error against the light's incidence on a logarithmic axis that holds every value, one line a model."""
+    """Draw the relative error against incidence on a logarithmic axis that holds every value, one line a model."""
     lines = lines_of(sorted(models, key=lambda model: model != default), default)
     curves: list[Curve] = []
     for model, parts in models.items():
@@ -275,7 +275,7 @@ def error_chart(models: dict[str, dict], default: str) -> str:
 
 
 def plane_chart(curve: dict, models: list[str], default: str) -> str:
-    """Measured values as dots, predicted ones as lines, over the view's angle in the plane of the light."""
+    """Draw measured values as dots, predicted ones as lines, over the view's angle in the plane of the light."""
     drawn = lines_of(models, default)
     angle, measured = np.array(curve["theta_r_deg"]), np.array(curve["measured"])
     lines = [

@@ -1,4 +1,4 @@
-"""The section of a page on a mosaic: where its fields lie, how well they fit each other, and what made them alike."""
+"""Write the section of a page on a mosaic: places of its fields, their agreement, and how they were levelled."""
 
 from dataclasses import replace
 from typing import Any
@@ -16,7 +16,7 @@ from nishiki.stages.report.capture import about_capture
 from nishiki.stages.report.painting_surface import PageMaps
 
 FIT_PX, SEAM_DE, SEAM_DEG = 0.5, 2.0, 2.0
-"""Residual, colour difference and angle between fields from which a headline warns."""
+"""Residual, colour difference and angle between fields above which a headline warns."""
 FIELDS = "Outlines of the fields over the joined reflectance; each pixel is a mean of the fields that show it."
 PLACED = (
     "Each field as it was placed: turn and scale against the mosaic, angles by which its normals were tilted, and "
@@ -89,7 +89,7 @@ def _folded(title: str, table: Table) -> Block:
 
 
 def mosaic_head(title: str | None, diagnostics: dict[str, Any], page: PageMaps, tiles: list[Metric]) -> Head:
-    """Return the head of the page: what is good of a mosaic, what is doubtful, and what would improve it most.
+    """Return the head of the page: merits and doubts of a mosaic, and its most effective improvement.
 
     diagnostics : of the stage mosaic; tiles : figures of the later stages.
     """

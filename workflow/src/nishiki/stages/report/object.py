@@ -67,7 +67,7 @@ def run(context: Context) -> dict:
 
 
 def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Metric]:
-    """Return the figures that matter most; diagnostics : by stage."""
+    """Return the most important figures; diagnostics : by stage."""
     evaluation = diagnostics.get("object_evaluate") or {}
     psnr = evaluation.get("psnr") or {}
     left_out = next((figures for name, figures in psnr.items() if name.startswith("left_out")), {})
@@ -140,7 +140,7 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
 
 
 def words(name: str) -> str:
-    """Return a picture's file name in words."""
+    """Describe a picture's file name in words."""
     kind, _, rest = name.partition("-")
     predicted = rest.endswith("-predicted")
     rest = rest.removesuffix("-predicted")
@@ -156,7 +156,7 @@ KINDS = {
     "left_out_model_alone": "views left out, model alone",
     "left_out_interpolated_truth": "views left out, residual of the neighbours, against noise-free truth",
 }
-"""Figures of an evaluation in words."""
+"""Names in words of an evaluation's figures."""
 PICTURES = {
     "photograph": ("Photograph", "the object's pixels as the camera saw them."),
     "rendered": ("Rendered", "model and residual, decoded."),
@@ -218,7 +218,7 @@ def views_section(evaluation: dict[str, Any] | None) -> Section | None:
 
 
 def separation_section(polarise: Artifact | None, widest: int) -> Section | None:
-    """Return what the polarisers separated, with the first pictures that the stage drew."""
+    """Write the results of polarisation separation, with the first pictures that the stage drew."""
     if polarise is None:
         return None
     shown = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_PICTURES]
@@ -262,11 +262,11 @@ def sentences(diagnostics: dict[str, Any]) -> list[str]:
 
 
 MOST_MARKED, MOST_NAMED = 40, 12
-"""Cameras up to which names are drawn, and about how many names."""
+"""Largest number of cameras with names, and approximate number of names drawn."""
 
 
 def cameras_section(cameras: Artifact | None, held_out: set[str]) -> Section | None:
-    """None where nothing tells where the cameras stood."""
+    """Write the section on the cameras; None where the poses are unknown."""
     if cameras is None:
         return None
     diagnostics, views = cameras.diagnostics, load_cameras(cameras.path("cameras.json"))
@@ -285,7 +285,7 @@ MIRRORED = 1.2
 
 
 def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return what is known of the cameras: label and text. diagnostics : of the stage; circle : a part of them."""
+    """List label and text of facts on the cameras. diagnostics : of the stage; circle : a part of them."""
     errors = [value for value in (diagnostics.get("reprojection_px") or {}).values() if value is not None]
     error, estimate = "not known: the matrices were given", diagnostics.get("estimate")
     if errors:
@@ -321,7 +321,7 @@ def estimate_facts(estimate: dict[str, Any], unit: str) -> list[tuple[str, str]]
 
 
 def turn_plot(centres: np.ndarray, names: list[str], held_out: set[str], axis=None, centre=None) -> str:
-    """Return cameras (views, 3) seen along the axis of the turn; views held out are open diamonds.
+    """Draw cameras (views, 3) along the axis of the turn; held-out views are open diamonds.
 
     axis, centre: of the circle; where they are not known, of the plane that fits the cameras best.
     """
@@ -369,7 +369,7 @@ def geometry_section(mesh: Artifact | None, widest: int) -> Section | None:
 
 
 def rows(mesh: dict[str, Any]) -> list[tuple[str, Cell]]:
-    """Return what is known of the surface: label and value; mesh : diagnostics of the stage."""
+    """List label and value of facts on the surface; mesh : diagnostics of the stage."""
     fit, decimation = mesh.get("fit") or {}, mesh.get("decimation") or {}
     values: list[tuple[str, Cell]] = [(name, mesh.get(name)) for name in ("source", "unit", "vertices", "triangles")]
     values.append(("watertight", {True: "yes", False: "no"}.get(mesh.get("watertight"))))

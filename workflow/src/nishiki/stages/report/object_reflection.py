@@ -1,4 +1,4 @@
-"""The sections of an object's page on its texels: parameters as sheets of charts, cost of the residual."""
+"""Write the sections of an object's page on its texels: parameters as sheets of charts, cost of the residual."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ LIGHTING = {
 
 
 def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest: int) -> Section | None:
-    """Return parameter maps as sheets of all charts, and what the fit says of itself; None without both stages."""
+    """Write parameter maps as sheets of all charts, and the fit's diagnostics; None without both stages."""
     if object_brdf is None or texels is None:
         return None
     maps, diagnostics = ParameterMaps(object_brdf.folder), object_brdf.diagnostics
@@ -77,7 +77,7 @@ def parameter_figures(parameters: np.ndarray) -> list[Figure]:
 
 
 def three(values: np.ndarray) -> np.ndarray:
-    """Three channels to look at: themselves, one repeated, or the longest, middle and shortest of many."""
+    """Select three channels for display: the given ones, one repeated, or the longest, middle and shortest of many."""
     channels = values.shape[-1]
     return values if channels == 3 else values[..., [channels - 1, channels // 2, 0]]
 
@@ -102,7 +102,7 @@ SUMS = ("total", "residual_total")
 
 
 def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any] | None) -> Section | None:
-    """residual : diagnostics of the stage or None; evaluation : evaluation.json or None."""
+    """Write the section. residual : diagnostics of the stage or None; evaluation : evaluation.json or None."""
     if residual is None:
         return None
     intro = "What the model does not explain is kept as wavelet coefficients over the surface and the views."

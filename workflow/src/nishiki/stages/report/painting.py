@@ -107,11 +107,11 @@ INTRODUCTION = (
 LINEAR = "Dots: measured, faint where few samples met; line: fitted."
 LOGARITHMIC = "The tails: what lies above the line here is gloss that the lobe lacks."
 FLAGS = {"AT_BOUND": "width at its bound", "NOT_CONVERGED": "not converged"}
-"""Flags of a fit (`nishiki.brdf.fit`) in words."""
+"""Descriptions of a fit's flags (`nishiki.brdf.fit`)."""
 
 
 GLOSSY_DEG, SATIN_DEG = 6.0, 13.0
-"""Half widths of the facets up to which a finish is called glossy and satin."""
+"""Largest half widths of the facets of a finish named glossy, and satin."""
 
 
 def finish_names(finishes: list[dict[str, Any]]) -> list[str]:
@@ -172,7 +172,7 @@ def gloss_section(
     finishes: list[Block] | None = None,
     names: list[str] | None = None,
 ) -> Section | None:
-    """None where no gloss was fitted.
+    """Write the section on gloss; None where no gloss was fitted.
 
     parameters : parameters.json of the stage brdf; finishes : their map and figures; names : of the regions.
     """
@@ -199,7 +199,7 @@ def gloss_section(
 
 
 def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
-    """Return the profile with linear and with logarithmic strength."""
+    """Draw the profile with linear and with logarithmic strength."""
     order = np.argsort(profile["phi"], kind="stable")
     phi = np.degrees(np.array(profile["phi"], float)[order])
     value, fitted, count = (np.array(profile[key], float)[order] for key in ("value", "fitted", "count"))
@@ -280,7 +280,7 @@ def describe(picture: dict[str, Any]) -> str:
 
 
 def exposed(exposure: float, *, chosen: bool) -> str:
-    """Return what a caption says of the exposure; chosen: from the picture itself."""
+    """Describe the exposure in a caption; chosen: from the picture itself."""
     why = ", chosen from the picture" if chosen else ""
     return f"Exposure {plain(exposure, 2)}{why} (1: a white that faces the lamp is white)."
 
@@ -299,7 +299,7 @@ PAPER_CHOICES = {
 
 
 def choices(settings: dict[str, dict[str, Any]]) -> Table:
-    """For each step where the paper's choice can be selected: what ran, and whether it was the paper's.
+    """Tabulate, for each step with a published choice: the method run, and whether it was the published one.
 
     settings : stage name -> its settings, of the stages that ran.
     """
@@ -322,7 +322,7 @@ def expected_angle(normals: dict[str, Any], height: dict[str, Any] | None) -> fl
 
 
 def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any] | None) -> list[Metric]:
-    """List the figures that matter most; diagnostics : of the stages; evaluation : evaluation.json or None."""
+    """List the most important figures; diagnostics : of the stages; evaluation : evaluation.json or None."""
     normals, evaluation = diagnostics["normals"], evaluation or {}
     tiles: list[tuple[float | None, str, str]] = []
     if lights := evaluation.get("lights"):
@@ -355,14 +355,14 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, An
 
 
 VISIBLE, PLAIN = 2.0, 5.0
-"""Colour differences (CIEDE2000) from which most people see one, and from which everybody does."""
+"""Colour differences (CIEDE2000) visible to most people, and to everybody."""
 FEW_LAMPS = 8  # that a headline warns of
 
 
 def verdict(
     diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any] | None, frames: Observations, *, guessed: bool
 ) -> list[tuple[str, str]]:
-    """State what is good of a painting's record, what is doubtful, and what would improve it most.
+    """State merits and doubts of a painting's record, and its most effective improvement.
 
     diagnostics : of the stages; guessed : whether the colours of the camera's channels are a guess.
     """

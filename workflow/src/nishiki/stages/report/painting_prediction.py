@@ -1,4 +1,4 @@
-"""The section of a painting's page on lights that no fit has seen: prediction beside photograph."""
+"""Write the section of a painting's page on lights that no fit used: prediction beside photograph."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -42,7 +42,7 @@ def relighting_section(
     widest: int,
     finishes: Sequence[str] = (),
 ) -> Section | None:
-    """None where no light was kept from the fits.
+    """Write the section on relighting; None where no light was held out of the fits.
 
     maps : of the artifact; evaluation : its evaluation.json; finishes : their names.
     """
@@ -102,7 +102,7 @@ def _pictures(light, preview, maps: Maps, difference: np.ndarray, end: float, wi
     block = block_of(shape[1], widest)
 
     def ranked(rows: slice) -> np.ndarray:
-        """Read classes as floats, 0 (not compared) as NaN, so that a block takes its gravest."""
+        """Read classes as floats, 0 (not compared) as NaN, so that a block takes its most severe one."""
         values = maps.read(classes, rows)
         return np.where(values > 0, values, np.nan).astype(np.float32)
 
@@ -179,7 +179,7 @@ def worst_part(parts: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def worst_level(part: dict[str, Any]) -> dict[str, Any]:
-    """Return the light under which the level of a part is predicted worst."""
+    """Return the light with the largest error of a part's level."""
     return max(part["lights"], key=lambda light: abs(light["level_error"]))
 
 
@@ -217,7 +217,7 @@ def _in_museum_terms(evaluation: dict[str, Any], finishes: Sequence[str]) -> Not
 
 
 def chosen(lights: list[dict[str, Any]], count: int = MOST_LIGHTS) -> list[int]:
-    """Which lights to show: all, or evenly through the ranks of their mean difference, best and worst among them."""
+    """Choose lights for display: all, or evenly by rank of their mean difference, best and worst among them."""
     if len(lights) <= count:
         return list(range(len(lights)))
     ranks = sorted(range(len(lights)), key=lambda k: (lights[k]["de00"]["mean"] or 0.0, k))

@@ -1,4 +1,4 @@
-"""The sections of a painting's page on shape and colour: normals, height, spectra and their errors."""
+"""Write the sections of a painting's page on shape and colour: normals, height, spectra and their errors."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -78,7 +78,7 @@ LIGHTS = (
 
 @dataclass(frozen=True)
 class PageMaps:
-    """What the sections on shape and colour are made from.
+    """Input of the sections on shape and colour.
 
     maps : of the stages that left some, by their names; mask : (rows, columns) bool, the object; pitch : of a pixel,
     mm; evaluation : evaluation.json, empty without one; widest : columns of a picture; ruler : below pictures.
@@ -164,7 +164,7 @@ def _against_truth(evaluation: dict[str, Any]) -> list[Block]:
 
 
 def _flags(page: PageMaps, shape: tuple[int, int], block: int) -> np.ndarray:
-    """Return the gravest class of each block of pixels; NaN outside the mask."""
+    """Return the most severe class of each block of pixels; NaN outside the mask."""
     classes = shrink(lambda rows: _classes(page.maps["normals"].read("flags", rows)), shape, block, "largest")
     inside = shrink(lambda rows: page.mask[rows].astype(np.float32), shape, block) > 0
     return np.where(inside, classes, np.nan)
@@ -252,7 +252,7 @@ def _diffuse(linear: np.ndarray, how: str, marks: tuple, ruler: Ruler | None) ->
 
 
 def _tables(expected_de00: dict[str, float], truth: dict[str, Any]) -> list[Block]:
-    """Return colour errors to be expected, and errors of the reflectance against a truth."""
+    """Tabulate expected colour errors, and errors of the reflectance against a truth."""
     tables: list[Block] = []
     if expected_de00:
         rows: list[list[Any]] = [[ILLUMINANTS[light], value] for light, value in expected_de00.items()]
@@ -292,7 +292,7 @@ def spread_out(points: np.ndarray, count: int, first: int) -> list[int]:
 def _of_places(
     small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, sigma: np.ndarray, block: int
 ) -> tuple[list[Figure], tuple]:
-    """Charts of places that differ most in colour: means over blocks of pixels, away from the extremes; their marks.
+    """Draw spectra of places that differ most in colour: means over blocks of pixels, without extremes; and marks.
 
     sigma : (rows, columns, 61) expected error of each.
     """

@@ -1,4 +1,4 @@
-"""Declaration of the stage `residual`: settings, inputs, limits of its result, cost."""
+"""Declare the stage `residual`: settings, inputs, limits of its result, cost."""
 
 from typing import Literal
 
@@ -23,7 +23,7 @@ LIMITS = (
 
 
 class ResidualSettings(Guarded, stage="residual", version=10, limits=LIMITS):
-    """What the reflection model does not explain, as wavelet coefficients."""
+    """Residual of the reflection model, as wavelet coefficients."""
 
     target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr"] = Field(
         "bits_per_pixel",

@@ -1,4 +1,4 @@
-"""Residual: what the reflection model leaves of the photographs, solved for in the pictures and coded."""
+"""Fit the residual of the reflection model to the photographs, and code it."""
 
 import json
 import math
@@ -156,7 +156,7 @@ def picture_source(context: Context, texels: Texels, kept: np.ndarray) -> Pictur
 
 
 def strayed_parts(mesh: Mesh, view: int, camera: Camera, photographed: PictureSource) -> np.ndarray:
-    """(rows, columns) bool: parts of a view's outline RIM pixels beyond the surface, of the surface one beyond it."""
+    """Select (rows, columns) bool: a view's outline RIM pixels beyond the surface, the surface one pixel beyond it."""
     import cv2
 
     if view not in photographed.views:
@@ -171,7 +171,7 @@ def carried(
     coder: tuple[PictureSource, CodedScene, Design, Effort], settings: ResidualSettings, start: float, room: float,
     expected: float | None,
 ) -> EncodedObject | None:  # fmt: skip
-    """Code the captured views as pictures in `room` bytes; None where texels are expected to show them better.
+    """Code the captured views as pictures in `room` bytes; None where texels are expected to be more accurate.
 
     start: the step to begin with; expected: decibels that texels alone reach over the pixels that they cover, if known.
     """
@@ -198,7 +198,7 @@ def carried(
 
 
 def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -> Left:
-    """Return what the model alone leaves of the pictures, on tiles in even steps."""
+    """Compute the residual of the model alone in the pictures, on tiles in even steps."""
     design, tiles = piloted.design, []
     there = [tile for tile in range(source.tiles) if piloted.refined[tile] is not None]
     if not design.model:
@@ -234,12 +234,12 @@ class ArtifactSource:
         return TileSurface(*self.texels.geometry(tile))
 
     def maps(self, tile: int) -> TileMaps:
-        """Return parameters as the reflection stage fitted them."""
+        """Return parameters as fitted by the reflection stage."""
         fitted = self.parameters.read(tile)
         return TileMaps(fitted.kd, fitted.ks, fitted.sigma)
 
     def counts(self) -> dict[str, int]:
-        """pixels: object pixels coded; visible, samples: texel samples seen and in all, channels counted."""
+        """Count pixels: object pixels coded; visible, samples: visible and all texel samples, channels counted."""
         pixels, visible = 0, 0
         for tile in range(self.tiles):
             pixels += len(self.pixels(tile).s)
@@ -249,7 +249,7 @@ class ArtifactSource:
 
 
 def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str, int], tiles: int) -> float:
-    """Return the target as what `measured` gives of a pass; UserError for a total that the other parts exceed."""
+    """Convert the target to the units of `measured`; UserError for a total that the other parts exceed."""
     if settings.target == "psnr":
         return settings.amount / DECIBELS
     amounts = {
@@ -268,7 +268,7 @@ def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str
 
 
 def measured(point: Point, target: str) -> float:
-    """Return what a target is about, as a number that falls with the step."""
+    """Return the quantity of the target, a number that falls with the step."""
     if target == "psnr":
         return point.psnr_db / DECIBELS
     return math.log(max(1, point.bytes))
@@ -297,7 +297,7 @@ def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float
 
 
 def diagnostics(encoded: EncodedObject, counts: dict[str, int]) -> dict:
-    """Return figures of the pass that is stored; decibels over object pixels, full scale 1."""
+    """Return figures of the stored pass; decibels over object pixels, full scale 1."""
     samples = encoded.pixels * encoded.design.channels
     return {
         "step": encoded.design.step,

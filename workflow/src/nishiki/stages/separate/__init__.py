@@ -1,4 +1,4 @@
-"""Declaration of the stage `separate`: settings, inputs, limits of its result, cost."""
+"""Declare the stage `separate`: settings, inputs, limits of its result, cost."""
 
 from typing import Literal
 
@@ -33,7 +33,7 @@ LIMITS = (
 
 
 class SeparateSettings(Guarded, stage="separate", version=1, limits=LIMITS):
-    """Which lights show a pixel's diffuse reflection: neither highlight nor shadow."""
+    """Selection of lights with diffuse reflection at a pixel: neither highlight nor shadow."""
 
     method: Literal["refit", "threshold", "trimmed", "none"] = Field(
         "refit",

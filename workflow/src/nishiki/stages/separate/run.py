@@ -60,7 +60,7 @@ def map_tiles(context: Context) -> dict:
 
 
 def merge(context: Context, tallies: list[dict]) -> dict:
-    """Return fractions of all samples."""
+    """Compute fractions of all samples."""
     totals = np.sum([tally["totals"] for tally in tallies], axis=0)
     names = ("usable", "highlight", "shadow", "valid")
     fractions = {f"{name}_fraction": float(n / tallies[0]["samples"]) for name, n in zip(names, totals, strict=True)}

@@ -95,7 +95,7 @@ def merge(context: Context, tallies: list[dict]) -> dict:
 
 
 def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Decision | None]:
-    """Return the estimator for this capture's lamp and camera, and what was decided of its bases."""
+    """Fit the estimator for this capture's lamp and camera; return the decision on its bases too."""
     curves = np.load(context.inputs["ingest"].path("curves.npz"))
     settings = context.settings
     lamp, camera = curves["illuminant"], curves["sensitivities"]

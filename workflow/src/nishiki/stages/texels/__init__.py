@@ -1,4 +1,4 @@
-"""Declaration of the stage `texels`: settings, inputs, limits of its result, cost."""
+"""Declare the stage `texels`: settings, inputs, limits of its result, cost."""
 
 from pydantic import Field
 
@@ -38,7 +38,7 @@ LIMITS = (
 
 
 class TexelsSettings(Guarded, stage="texels", version=1, limits=LIMITS):
-    """How the surface is cut into charts and tiles, how densely it is sampled, and what counts as visible."""
+    """Charts and tiles of the surface, density of its samples, and limits of visibility."""
 
     texels_per_pixel: float = Field(
         1.0, gt=0, le=8, description="linear: texels for one pixel of the views that see a place best"

@@ -1,4 +1,4 @@
-"""Texels: the surface as tiles of texels, what every view shows of each, and where every pixel lies among them."""
+"""Lay out the surface as tiles of texels, and sample every view on them."""
 
 from pathlib import Path
 
@@ -87,7 +87,7 @@ def check(views: Views, cameras: list[Camera]) -> None:
 
 
 def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tuple[Charts, Atlas]:
-    """Return charts of the mesh, and tiles as dense as the capture's own sampling."""
+    """Compute charts of the mesh, and tiles as dense as the capture's own sampling."""
     if not len(mesh.triangles):
         raise UserError("the mesh has no triangles. Remedy: look at the silhouettes or scans of the stage mesh")
     up, front = turning(cameras)
@@ -103,7 +103,7 @@ def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tupl
 
 
 def write_preview(path: Path, atlas: Atlas, texels: np.ndarray, encoding: str) -> None:
-    """Write the mean colour of every texel, chart by chart; grey where no observation shows it."""
+    """Write the mean colour of every texel, chart by chart; grey where no observation covers it."""
     import cv2
 
     picture = atlas_picture(atlas, texels)

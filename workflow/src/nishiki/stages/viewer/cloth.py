@@ -70,18 +70,18 @@ def write_cloth(
 
 
 POSITION_STEPS = 1 << 16
-"""Steps of a place in an extent of the cloth."""
+"""Number of steps of a position over the cloth's extent."""
 SIZE = (600, 800)
-"""Of the picture that the first view of a surface fills."""
+"""Size of the first view's picture, filled by the surface."""
 
 
 def on_paper(cloths: list[Surface], view: Viewpoint, **more: Any) -> Studio:
-    """Return surfaces on paper without a wall: they are seen from all sides."""
+    """Return surfaces on paper without a wall: they are visible from all sides."""
     return studio(cloths, [], view, level=1.0, reflectance=ClothRenderSettings().paper, wall=False, **more)
 
 
 def surfaces(mesh: MeshSettings | None) -> dict[str, Callable[[], Studio]]:
-    """Return what the page shows, by name; the surface of a file, whose unit of length nobody knows, first.
+    """Return the page's surfaces by name; the surface of a file, of unknown unit of length, first.
 
     drape: over a ball; flat: a sample that faces the eye, weft to the right; cylinders: warp upright, oblique, around.
     """
@@ -135,19 +135,19 @@ def shape_of(scene: Studio) -> Shape:
 
 
 def differences(values: np.ndarray) -> np.ndarray:
-    """Return (n, k) integers less the row before, modulo their type's range."""
+    """Compute (n, k) integers less the row before, modulo their type's range."""
     out = values.copy()
     out[1:] -= values[:-1]
     return out
 
 
 def unit_steps(vectors: np.ndarray) -> np.ndarray:
-    """Return unit vectors (n, 3) in steps of 1/32767, int16."""
+    """Quantise unit vectors (n, 3) in steps of 1/32767, int16."""
     return np.round(32767 * np.asarray(vectors, np.float64)).astype(np.int16)
 
 
 def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
-    """Return a model's blocks: its table and share of even light, its gloss alone and the albedo that a dye needs."""
+    """Return a model's blocks: its table and share of ambient light, its gloss alone and the albedo for dyes."""
     gloss = gloss_of(brdf)
     of_all, of_gloss = shares(brdf, gloss)
     dye = dyed(gloss, {"white": (1.0, 1.0, 1.0)}, of_gloss)["white"]

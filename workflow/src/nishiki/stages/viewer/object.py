@@ -1,4 +1,4 @@
-"""Object_viewer: a page on which the coded object is decoded and seen from any view, data beside it or inside it.
+"""Write a page on which the coded object is decoded and rendered from any view, data beside it or inside it.
 
 Nothing is coded anew. The page holds the streams of the stage `residual` byte for byte and decodes them with the same
 integer arithmetic; mesh and charts come as integers, wavelets as sparse matrices, cameras and lamps as numbers.
@@ -25,7 +25,7 @@ PAGE = Path(__file__).with_suffix(".js")
 
 
 def run(context: Context) -> dict:
-    """Write what a decoder needs and the coded streams, then the page around them."""
+    """Write the decoder's data and the coded streams, then the page around them."""
     decoded = DecodedObject.open(context.inputs)
     blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
     about = {
@@ -37,7 +37,7 @@ def run(context: Context) -> dict:
 
 
 def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without: frozenset[int]) -> dict:
-    """Write blocks and page of an object; return sizes in bytes. about: title, stamp, unit; without: views left out."""
+    """Write blocks and page of an object; return sizes in bytes. about: title, stamp, unit; without: omitted views."""
     described = pack_arrays(decoder_arrays(decoded))
     blocks.add("object", described)
     streams, coded_bytes = [], 0
@@ -60,7 +60,7 @@ PART_BYTES = 256 << 10  # of the streams of several tiles that are loaded togeth
 
 
 def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
-    """Return the part of the page's manifest that only an object has, as plain data."""
+    """Return the part of the page's manifest specific to objects, as plain data."""
     design, turn = decoded.residual.design, fit_turn(list(decoded.cameras), full_turn=decoded.full_turn)
     centre, radius = ball_around(decoded.mesh)
     return {
@@ -108,7 +108,7 @@ def coded_arrays(coded: Coded) -> dict[str, np.ndarray]:
 
 
 def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
-    """Vertices on their grid; points of the charts, each with its vertex, chart and place; corners of the triangles."""
+    """Encode vertices on their grid; points of the charts, each with its vertex, chart and place; triangle corners."""
     mesh, atlas = decoded.mesh, decoded.atlas
     grid = np.round(mesh.vertices / mesh_step(mesh, list(decoded.cameras))).astype(np.int64)
     lowest = grid.min(axis=0)
@@ -130,7 +130,7 @@ def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
 
 
 def wavelet_arrays(coded: Coded) -> dict[str, np.ndarray]:
-    """One level of synthesis of every length that occurs, lengths of the basis vectors, transforms along the views."""
+    """Return one level of synthesis per length in use, lengths of the basis vectors, transforms along the views."""
     design = coded.design
     extents = [extent for extent in coded.extents if extent.length]
     arrays = {"along/lights": view_matrix(design.light_transform, design.lights).astype(np.float32)}
@@ -144,7 +144,7 @@ def wavelet_arrays(coded: Coded) -> dict[str, np.ndarray]:
 
 
 def plane_arrays(name: str, plane: Plane) -> dict[str, np.ndarray]:
-    """Of both axes of a plane: sparse rows of each level's synthesis, and lengths of its basis vectors."""
+    """Return sparse rows of each level's synthesis, and lengths of its basis vectors, for both axes of a plane."""
     arrays = {}
     for axis in (plane.down, plane.across):
         for level in range(plane.levels):
@@ -174,5 +174,5 @@ def stream_parts(decoded: DecodedObject) -> Iterator[tuple[dict[str, Any], bytes
 
 
 def smallest(values: np.ndarray) -> np.ndarray:
-    """Return the same numbers, none negative, as uint16 where they fit and as uint32 otherwise."""
+    """Convert non-negative integers to uint16 where they fit and to uint32 otherwise."""
     return values.astype(np.uint16 if values.max(initial=0) < 1 << 16 else np.uint32)

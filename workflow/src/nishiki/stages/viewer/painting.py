@@ -1,4 +1,4 @@
-"""Viewer: a page on which a painting is seen under moving lamps, its data beside it or inside it.
+"""Write a page that displays a painting under moving lamps, its data beside it or inside it.
 
 A record of a pixel holds, in this order: known (1 or 0), normal (3), coefficients (K), terms of the body shading (0, 3
 or 5), region.
@@ -39,7 +39,7 @@ PAGE = Path(__file__).with_suffix(".js")
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
 BAND_PIXELS = 1 << 20  # in memory
 FINE, COARSE, FINE_PIXELS = Steps(0.35, 0.00116, 0.0046), Steps(0.95, 0.011, 0.019), 2_000_000
-"""Steps of the codes, and the size of a map up to which the finer are taken. With the coarse ones each kind of code
+"""Steps of the codes, and largest map for the finer ones. With the coarse ones each kind of code
 costs about the same difference of the picture for a bit; the steps of tilts are below the noise of the normals of
 photographs of that size."""
 RELIEFS = ((1_200_000, 0.002), (16_000_000, 0.03))
@@ -103,7 +103,7 @@ def run(context: Context) -> dict:
 
 
 def illuminants(ingest: Artifact) -> dict[str, dict[str, list[float]]]:
-    """Return spectra on offer, {name: {nm, power}}; `capture`: that of the lamp, where the capture states it."""
+    """Return the selectable spectra, {name: {nm, power}}; `capture`: that of the lamp, where the capture states it."""
     powers = {name: cie_illuminant(name) for name in ILLUMINANTS}
     path = ingest.path("curves.npz")
     curves = load_arrays(path) if path.is_file() else {}
@@ -119,7 +119,7 @@ FARTHEST = 99.5  # percentile of a measured map that its colours reach to
 
 
 def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any]]:
-    """Write the maps that there are; what the page has to know of each. Normals come with the appearance."""
+    """Write the available maps; return the page's data on each. Normals come with the appearance."""
     layers = [
         {"name": "appearance", "label_key": "layer.appearance", "unit": "", "range": [0, 1], "map": "grey"},
         {"name": "normals", "label_key": "layer.normals", "unit": "", "range": [-1, 1], "map": "normal"},
@@ -153,7 +153,7 @@ def _reduced(maps: Maps, key: str, how: Literal["mean", "middle"] = "mean") -> n
 
 
 def _mean_difference(maps: Maps, lights: int) -> np.ndarray | None:
-    """Return mean colour difference over the lights left out, NaN where none was compared."""
+    """Compute the mean colour difference over the held-out lights, NaN where none was compared."""
     parts = [_reduced(maps, name) for name in (f"de00_{light:03d}" for light in range(lights)) if name in maps]
     if not parts:
         return None
@@ -162,7 +162,7 @@ def _mean_difference(maps: Maps, lights: int) -> np.ndarray | None:
 
 
 def _measured(name: str, unit: str, values: np.ndarray, blocks: Blocks) -> dict[str, Any]:
-    """Return codes of the range of the values; those beyond its ends take its ends."""
+    """Quantise values within their range; those beyond its ends take its ends."""
     known = np.isfinite(values)
     low, high = np.percentile(values[known], (100 - FARTHEST, FARTHEST)) if known.any() else (0.0, 1.0)
     low, high = float(low), float(max(high, low + 1e-9))
@@ -197,7 +197,7 @@ def _written(
 
 
 SAMPLES = 60_000
-"""Pixels, about, that the codes are fitted to."""
+"""Approximate number of pixels for fitting the codes."""
 
 
 def read_records(maps: PaintingMaps, rows: slice) -> np.ndarray:
@@ -233,7 +233,7 @@ class PaintingCode:
 
     @classmethod
     def of(cls, maps: PaintingMaps, band_rows: int, steps: Steps) -> "PaintingCode":
-        """Fit to a sample of the maps."""
+        """Fit the codes to a sample of the maps."""
         values = sample_records(maps, band_rows)
         channels = values.shape[1] - 5 - maps.terms
         matrices = colour_matrices(maps.basis, np.linalg.inv(srgb_matrix()))
@@ -264,7 +264,7 @@ class PaintingCode:
         return [*planes, np.where(known, values[..., -1], UNKNOWN).astype(np.uint8)]
 
     def described(self) -> dict[str, Any]:
-        """For the manifest."""
+        """Return the parameters for the manifest."""
         return {
             "normal": self.normal.described(),
             "colour": self.colour.described(),
@@ -273,7 +273,7 @@ class PaintingCode:
 
 
 def gloss_of(maps: PaintingMaps) -> dict[str, Any]:
-    """Describe every region's gloss for the manifest. entering: what the surface lets in of light from all sides."""
+    """Describe every region's gloss for the manifest. entering: share of ambient light that enters the surface."""
     gloss = maps.gloss
     used = gloss.beta.max(axis=0) > 0
     return {
@@ -287,13 +287,13 @@ def gloss_of(maps: PaintingMaps) -> dict[str, Any]:
 
 
 MOST_CODES = 2_000_000
-"""Bytes before compression; they decide how far the samples are apart."""
+"""Bytes before compression, which determine the distance of the samples."""
 
 
 def photographs_of(
     maps: PaintingMaps, frames: Observations, blocks: Blocks, progress: Progress
 ) -> dict[str, Any] | None:
-    """Write photographs and predictions at every `step`-th pixel; what the page has to know of them, None without any.
+    """Write photographs and predictions at every `step`-th pixel; return the page's data on them, None without any.
 
     Values are means over the channels, relative to a white that faces the lamp. The block holds uint8 (2, lights,
     rows, columns), photographs first: values relative to `white` are (code / 254)^2. Predictions are those of the stage

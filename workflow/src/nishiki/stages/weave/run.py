@@ -68,7 +68,7 @@ def picture(context: Context, fit: WeaveFit, suffix: str, surface: WovenSurface,
 
 
 def report(fit: WeaveFit, weave: str, harness: int, measured: list[bool]) -> dict:
-    """Return what stands in the manifest."""
+    """Return the data of the manifest."""
     return {
         "weave": weave,
         "harness": harness,
@@ -93,7 +93,7 @@ def cut(surface: WovenSurface, plane: str) -> tuple[np.ndarray, float]:
 def draw_section(
     points: np.ndarray, period: float, note: str, *, title: str, repeats: int = 2, width: int = 640
 ) -> str:
-    """SVG text: `repeats` periods of a section (n, 2), equal scales of both axes; the surface's body is filled."""
+    """Draw SVG text: `repeats` periods of a section (n, 2), equal scales of both axes; the surface's body is filled."""
     train = np.concatenate([np.add(points, (k * period, 0.0)) for k in range(repeats)])
     low, high = np.nanmin(train[:, 1]), np.nanmax(train[:, 1])
     scale = (width - 20) / (repeats * period)
