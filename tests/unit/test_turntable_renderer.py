@@ -68,7 +68,7 @@ class DomeAtlas:
 class DomeResidual:
     """Random parameters and residuals, continuous over the tiles' common borders; tile 4 stores nothing."""
 
-    pictures = None
+    pictures, channels = None, 3
 
     def __init__(self, observations, *, scale=0.1):
         rng = np.random.default_rng(5)
@@ -91,7 +91,7 @@ class DomeResidual:
     def decode_coded(self, tile, *, level=0):
         self.decoded.append(tile)
         values = self.whole[(slice(None), *self.cut(tile))]
-        values = values.reshape(len(values), -1, 3)
+        values = values.reshape(len(values), -1, self.channels)
         return CodedTexels(values, np.arange(values.shape[0]), np.arange(values.shape[1]))
 
     def empty(self, tile):
@@ -119,7 +119,7 @@ def make(*, encoding="srgb", residual=None, **options):
         lighting=LIGHTING,
         encoding=encoding,
         full_turn=False,
-        channels=3,
+        channels=(residual or DomeResidual).channels,
         ceiling=options.pop("ceiling", None),
     )
     threads = options.pop("threads", None)
@@ -205,11 +205,11 @@ class Photographed(CodedViews):
     """All views of the first light as pictures of what texels show there; at `bare` pixels the surface is none."""
 
     def __init__(self, shown, bare):
-        self.shown, self.bare = shown, bare
+        self.shown, self.bare, self.channels = shown, bare, shown[0].shape[-1]
         self.extents = [Extent(k, 1, 0, 0, 512, 512) for k in range(len(shown))]
 
     def texels(self, tile):
-        whole = np.full((3, 2, 512, 512), 7.0, np.float32)
+        whole = np.full((self.channels, 2, 512, 512), 7.0, np.float32)
         whole[:, :, :100, :110] = np.moveaxis(self.shown[tile], -1, 0)[:, None]
         return whole
 
@@ -217,8 +217,12 @@ class Photographed(CodedViews):
         return pack_strayed([self.bare])[0] if self.bare.any() else b""
 
 
-def test_pictures_lend_what_they_differ_from_the_model_to_views_between():
+@pytest.mark.parametrize("channels", [3, 1, 5])
+def test_pictures_lend_what_they_differ_from_the_model_to_views_between(channels, monkeypatch):
+    monkeypatch.setattr(module, "MOST_PLACES", 50)
     residual = DomeResidual(2 * len(ANGLES))
+    bands, residual.channels = np.arange(channels) % 3, channels
+    residual.kd, residual.ks, residual.whole = (v[..., bands] for v in (residual.kd, residual.ks, residual.whole))
     residual.whole[:] = (
         residual.whole[:1].mean(axis=(1, 2), keepdims=True) + 0.1 * np.sin(np.arange(TEXELS) / 4)[:, None]
     )
@@ -236,6 +240,11 @@ def test_pictures_lend_what_they_differ_from_the_model_to_views_between():
         apart = np.abs(got.linear - alone.linear)[45:55, 50:60].max()
         assert apart < 1e-5 if bare.any() else apart > 0.01
     assert off[0] < 0.2 * np.abs(alone.linear - want.linear)[inner].mean()
+    # a frame of the turn at a captured place, where one view is the only neighbour, is as good
+    residual.pictures = Photographed(shown, np.zeros((100, 110), bool))
+    at, alone = (next(made.render([made.between(2, 0.0)])).linear for made in (make(residual=residual), model))
+    want = decode(shown[2], "srgb")
+    assert np.abs(at - want)[inner].mean() < 0.2 * np.abs(alone - want)[inner].mean()
 
 
 def test_the_surface_throws_shadows_between_views():

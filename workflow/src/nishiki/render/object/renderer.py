@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from nishiki.render.object.decoded_object import DecodedObject
 
 OTHER_LIGHT = np.float32(0.02)  # weight of a view in which a texel is in the light and here is not, or the other way
+MOST_PLACES = 1 << 14  # in one look-up by OpenCV, which takes fewer than 2**15
 BATCH_BYTES = 32 << 20  # of pictures in hand while all decoded tiles fit into the cache
 LARGE_BATCH_BYTES = 384 << 20  # once they do not: a tile is decoded again for each batch
 CACHE_BYTES = 256 << 20
@@ -151,7 +152,7 @@ class ObjectRenderer:
 
     def _finish(self, batch: list[Prepared]) -> Iterator[ObjectPicture]:
         if not self.model_only:
-            shots = [prepared.shot for prepared in batch if len(prepared.shot.views.views) > 1]
+            shots = [prepared.shot for prepared in batch if self._blends(prepared.shot)]
             self.depths.prepare([self.cameras[view] for shot in shots for view in shot.views.views])
             if self.pictures is not None and shots:
                 keys = {(int(view), light) for shot in shots for view in shot.views.views for light, _ in shot.lights}
@@ -162,6 +163,10 @@ class ObjectRenderer:
         over_items(lambda tile: self._draw(tile, batch), tiles, self.threads)
         while batch:
             yield self._picture(batch.pop(0))
+
+    def _blends(self, shot: Shot) -> bool:
+        """Test whether neighbours lend by how well they see a texel; pictures lend to all but their own view."""
+        return len(shot.views.views) > 1 or (self.pictures is not None and shot.captured is None)
 
     def _draw(self, tile: int, batch: list[Prepared]) -> None:
         """Draw all pixels of all pictures of a batch that show this tile."""
@@ -187,7 +192,7 @@ class ObjectRenderer:
             diffuse, gloss = lamp.predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen])
             return encode(diffuse + gloss, self.encoding)
         coded, views = self._modelled(flat, chosen, shot.camera, lamp), shot.views.views
-        if len(views) > 1 and not self.model_only:
+        if not self.model_only and self._blends(shot):
             seen = [self.depths.visible(flat.positions[chosen], flat.normals[chosen], self.cameras[v]) for v in views]
             weights = shot.views.weights.astype(np.float32)
             if self.pictures is not None:
@@ -220,12 +225,14 @@ class ObjectRenderer:
             picture, bare = self._lenders[int(view), light]
             places = camera.project(positions)[0].astype(np.float32)[:, None]
             there = self._lit(own, positions, normals)
-            model = self._modelled(flat, chosen, camera, own) * there[:, None]
-            lent.append(
-                cv2.remap(picture, places, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)[:, 0] - model
-            )
+            lent.append(-self._modelled(flat, chosen, camera, own) * there[:, None])
             sees *= np.where(there == lit, np.float32(1), OTHER_LIGHT)
-            sees[cv2.remap(bare, places, None, cv2.INTER_NEAREST)[:, 0] > 0] = 0
+            for first in range(0, len(places), MOST_PLACES):
+                some = slice(first, first + MOST_PLACES)
+                for band, values in enumerate(picture):
+                    shown = cv2.remap(values, places[some], None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+                    lent[-1][some, band] += shown[:, 0]
+                sees[some][cv2.remap(bare, places[some], None, cv2.INTER_NEAREST)[:, 0] > 0] = 0
         total = (weights[:, None] * seen).sum(axis=0)
         return coded * lit[:, None] + np.where(total > 1e-6, 1, 0)[:, None] * mix(np.array(lent), seen, weights)
 
@@ -241,12 +248,12 @@ class ObjectRenderer:
         return lit
 
     def _decoded(self, pictures: Coded, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
-        """Decode a view's picture (rows, columns, channels), and where outline and surface differ (uint8)."""
+        """Decode a view's picture (channels, rows, columns), and where outline and surface differ (uint8)."""
         shape = self.cameras[view].rows, self.cameras[view].columns
         found = decode_picture(pictures, view, light, shape)
         if found is None:
-            return np.zeros((*shape, self.channels), np.float32), np.ones(shape, np.uint8)
-        return found[0], found[1].astype(np.uint8)
+            return np.zeros((self.channels, *shape), np.float32), np.ones(shape, np.uint8)
+        return np.ascontiguousarray(np.moveaxis(found[0], -1, 0)), found[1].astype(np.uint8)
 
     def _tile(self, tile: int) -> DecodedTile:
         """Return a tile's decoded parameters and residual and its geometry; cache the most recent ones."""
