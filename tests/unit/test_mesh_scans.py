@@ -17,7 +17,6 @@ from nishiki.geometry.scans import (
     mesh_set,
     missing_filters,
     register,
-    rotations,
     thinned,
 )
 from nishiki.geometry.surface import distances, shape_of, without_small_parts
@@ -89,17 +88,6 @@ def test_scans_of_different_things_are_reported():
     plate = np.random.default_rng(5).uniform(-30, 30, (3000, 3)) * [1, 1, 0.3]
     with refused(UserError, by="register"):
         register([body(4).vertices, plate], overlap=0.9)
-
-
-def test_rotations_cover_all_turns():
-    found = np.array(rotations(72))
-    np.testing.assert_allclose(found @ found.transpose(0, 2, 1), np.tile(np.eye(3), (72, 1, 1)), atol=1e-12)
-    assert np.allclose(np.linalg.det(found), 1)
-    assert np.array_equal(found[0], np.eye(3))
-    anywhere = Rotation.random(300, random_state=1).as_matrix()
-    traces = np.einsum("aij,bij->ab", anywhere, found)
-    nearest = np.degrees(np.arccos(np.clip((traces.max(axis=1) - 1) / 2, -1, 1)))
-    assert nearest.max() < 60
 
 
 def test_thinning_is_even_and_normals_are_right():

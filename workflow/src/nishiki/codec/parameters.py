@@ -55,18 +55,9 @@ WIDTH_FLOOR = 1e-3  # radians
 
 @dataclass(frozen=True)
 class TileMaps:
-    """A tile's maps: kd, ks (T, T, C) float32, sigma (T, T) float32, radians."""
+    """A tile's maps: kd, ks (T, T, C) float32, sigma (T, T) float32, radians.
 
-    kd: np.ndarray
-    ks: np.ndarray
-    sigma: np.ndarray
-
-
-@dataclass(frozen=True)
-class Weights:
-    """Weights of changes of texels: their squared effect on the pictures.
-
-    kd, ks (T, T, C) per unit, sigma (T, T) per unit of log sigma.
+    As weights: the squared effect of changes on the pictures, per unit of K_d, of K_s and of log sigma.
     """
 
     kd: np.ndarray
@@ -164,7 +155,7 @@ def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values:
     return np.sum(back * factors.irradiance, axis=1), np.einsum("comn,omn->cmn", back, lobe), by_width
 
 
-def texel_weights(maps: TileMaps, factors: Factors, feet: Footprints, encoding: str) -> Weights:
+def texel_weights(maps: TileMaps, factors: Factors, feet: Footprints, encoding: str) -> TileMaps:
     """Bound the error's curvature at the given parameters by its diagonal, off-diagonal terms added."""
     density = feet.density()
     kd, ks = np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0)
@@ -174,7 +165,7 @@ def texel_weights(maps: TileMaps, factors: Factors, feet: Footprints, encoding: 
     by_s = np.sum(rise * lobe[None] ** 2, axis=1)
     bend = lobe * factors.squared_angle / maps.sigma**2
     by_w = np.sum(rise * (bend[None] * ks[:, None]) ** 2, axis=(0, 1))
-    return Weights(np.moveaxis(by_d, 0, -1), np.moveaxis(by_s, 0, -1), by_w)
+    return TileMaps(np.moveaxis(by_d, 0, -1), np.moveaxis(by_s, 0, -1), by_w)
 
 
 def _pace(weight: np.ndarray, largest: float) -> np.ndarray:
@@ -190,7 +181,7 @@ ITERATIONS = 60  # of the solver
 
 
 def encode_parameters(
-    maps: TileMaps, weights: Weights, typical: tuple[float, ...], design: Design, extent: Extent, threshold: float
+    maps: TileMaps, weights: TileMaps, typical: tuple[float, ...], design: Design, extent: Extent, threshold: float
 ):
     """Encode cropped maps: kd, ks, log sigma (channel 0) as multiples of their steps, (C, 3, rows, columns) int32.
 

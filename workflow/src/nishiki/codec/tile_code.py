@@ -11,7 +11,6 @@ from nishiki.codec.design import Design, Extent, extent_of
 from nishiki.codec.parameters import (
     TileMaps,
     TileSurface,
-    Weights,
     decode_parameters,
     encode_parameters,
     model_factors,
@@ -63,7 +62,7 @@ class Effort:
 class Typical:
     """Values of typical texels of the object."""
 
-    parameters: tuple[float, float, float]  # weights of kd, ks (mean over channels) and log sigma, as in `Weights`
+    parameters: tuple[float, float, float]  # weights of kd, ks (mean over channels) and log sigma
     density: float  # mean weight that pixels give a texel
 
 
@@ -93,7 +92,7 @@ class Refined:
     """Parameters of a tile solved for in the pictures, and the effect of an error in them."""
 
     maps: TileMaps
-    weights: Weights
+    weights: TileMaps
 
 
 @dataclass(frozen=True)
@@ -139,7 +138,7 @@ def refine_tile(seen: Seen, maps: TileMaps, scene: CodedScene, design: Design, e
     maps = TileMaps(*(np.nan_to_num(a[seen.extent.texels].astype(np.float32)) for a in (maps.kd, maps.ks, maps.sigma)))
     if not design.model:
         zero = np.zeros_like(maps.kd)
-        return Refined(TileMaps(zero, zero, np.ones_like(maps.sigma)), Weights(zero, zero, zero[..., 0]))
+        return Refined(TileMaps(zero, zero, np.ones_like(maps.sigma)), TileMaps(zero, zero, zero[..., 0]))
     centres, lamps = scene.centres[seen.observations], [scene.lamps[o] for o in seen.observations]
     factors = model_factors(design.channels, seen.surface, centres, lamps)
     moved = (True, effort.gloss, False)

@@ -1,7 +1,7 @@
 """Find the corners of a ChArUco board in pictures, and calibrate intrinsics and distortion from several of them."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -118,11 +118,11 @@ class Calibration(PlainFields):
     distortion: tuple[float, ...]
     rms_px: float  # root mean square distance of detected from projected corners over the pictures used
     picture_px: dict[str, float]  # by picture, those left out too
-    outliers: tuple[str, ...]  # names of pictures left out because they fit far worse than the others
-    sparse: tuple[str, ...]  # names of pictures with too few corners
     focal_sigma: float  # standard deviation of the focal lengths, relative
     middle_sigma_px: float  # of the principal point
     tilt_deg: float  # largest angle between two boards
+    outliers: tuple[str, ...] = ()  # names of pictures left out because they fit far worse than the others
+    sparse: tuple[str, ...] = ()  # names of pictures with too few corners
 
 
 def calibrate(
@@ -157,12 +157,12 @@ def calibrate(
     outliers: list[BoardCorners] = []
     while True:
         fit = _fit(used, rows, columns, distortion)
-        worst = int(np.argmax(fit.errors))
-        bound = OUTLIER * max(float(np.median(fit.errors)), 0.1)
-        if fit.errors[worst] <= bound or len(used) == LEAST_PICTURES:
+        fitted = list(fit.picture_px.values())
+        worst = int(np.argmax(fitted))
+        if fitted[worst] <= OUTLIER * max(float(np.median(fitted)), 0.1) or len(used) == LEAST_PICTURES:
             break
         outliers.append(used.pop(worst))
-    middle_sigma = fit.middle_sigma / max(rows, columns)
+    middle_sigma = fit.middle_sigma_px / max(rows, columns)
     if fit.tilt_deg < LEAST_TILT_DEG or not fit.focal_sigma <= MOST_SIGMA or not middle_sigma <= MOST_SIGMA:
         raise UserError(
             f"calibration: these {len(used)} pictures do not determine the lens: boards at most {fit.tilt_deg:.1f} "
@@ -173,37 +173,15 @@ def calibrate(
             "degrees, "
             "another way in every picture"
         )
-    errors = dict(zip([each.name for each in used], fit.errors.tolist(), strict=True))
-    coefficients = np.array(fit.distortion)
+    errors, coefficients = dict(fit.picture_px), np.array(fit.distortion)
     for each in outliers:  # at their own best poses
         _, turn, shift = cv2.solvePnP(each.points, each.pixels, fit.intrinsics, coefficients)
         projected = cv2.projectPoints(each.points, turn, shift, fit.intrinsics, coefficients)[0].reshape(-1, 2)
         errors[each.name] = float(np.sqrt(((projected - each.pixels) ** 2).sum(axis=1).mean()))
-    return Calibration(
-        fit.intrinsics,
-        fit.distortion,
-        fit.rms,
-        errors,
-        tuple(each.name for each in outliers),
-        sparse,
-        fit.focal_sigma,
-        fit.middle_sigma,
-        fit.tilt_deg,
-    )
+    return replace(fit, picture_px=errors, outliers=tuple(each.name for each in outliers), sparse=sparse)
 
 
-@dataclass(frozen=True)
-class _Fit:
-    intrinsics: np.ndarray
-    distortion: tuple[float, ...]
-    rms: float
-    errors: np.ndarray
-    focal_sigma: float
-    middle_sigma: float
-    tilt_deg: float
-
-
-def _fit(pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> _Fit:
+def _fit(pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> Calibration:
     """Fit from several focal lengths, since OpenCV's own start diverges where boards are tilted little."""
     import cv2
 
@@ -215,17 +193,17 @@ def _fit(pictures: list[BoardCorners], rows: int, columns: int, distortion: str)
             fits.append(_fit_from(start, pictures, rows, columns, distortion))
         except cv2.error:
             continue
-    fits = [fit for fit in fits if np.isfinite(fit.rms)]
+    fits = [fit for fit in fits if np.isfinite(fit.rms_px)]
     if not fits:
         raise UserError(
             f"calibration: no camera explains these {len(pictures)} pictures. Remedy: tilt the board another way in "
             "every "
             "picture and keep it flat"
         )
-    return min(fits, key=lambda fit: fit.rms)
+    return min(fits, key=lambda fit: fit.rms_px)
 
 
-def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> _Fit:
+def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> Calibration:
     import cv2
 
     flags = {
@@ -246,11 +224,11 @@ def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, column
     sigma, fitted = np.asarray(sigma).ravel(), np.asarray(coefficients).ravel()[:5]
     normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
     finite = np.isfinite(matrix).all() and np.isfinite(fitted).all() and np.isfinite(sigma[:4]).all()
-    return _Fit(
+    return Calibration(
         matrix,
         tuple(fitted.tolist()),
         float(rms) if finite else float("inf"),
-        np.asarray(errors, np.float64).ravel(),
+        dict(zip([each.name for each in pictures], np.asarray(errors, np.float64).ravel().tolist(), strict=True)),
         float(max(sigma[0] / matrix[0, 0], sigma[1] / matrix[1, 1])),
         float(max(sigma[2:4])),
         float(np.degrees(np.arccos(np.clip(normals @ normals.T, -1, 1).min()))),  # largest angle between two boards

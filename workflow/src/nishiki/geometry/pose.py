@@ -391,19 +391,15 @@ def _axis_of(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
     total = np.zeros((3, 3))
     for rotation in rotations:
         # Relative turns Rot(a, theta) have their axis times 2 sin(theta) in the skew part, whatever the sign of theta.
-        relative = np.swapaxes(rotations, 1, 2) @ rotation
-        vectors = np.stack([relative[:, 2, 1], relative[:, 0, 2], relative[:, 1, 0]], axis=1)
-        vectors -= np.stack([relative[:, 1, 2], relative[:, 2, 0], relative[:, 0, 1]], axis=1)
+        vectors = _skew_part(np.swapaxes(rotations, 1, 2) @ rotation)
         total += vectors.T @ vectors
     axis = np.linalg.eigh(total)[1][:, -1]
     axis = axis * (1.0 if axis[np.argmax(np.abs(axis))] >= 0 else -1.0)
     relative = rotations[0].T @ rotations
-    skew = np.stack(
-        [
-            relative[:, 2, 1] - relative[:, 1, 2],
-            relative[:, 0, 2] - relative[:, 2, 0],
-            relative[:, 1, 0] - relative[:, 0, 1],
-        ],
-        axis=1,
-    )
-    return axis, np.arctan2(skew @ axis / 2, (np.trace(relative, axis1=1, axis2=2) - 1) / 2)
+    return axis, np.arctan2(_skew_part(relative) @ axis / 2, (np.trace(relative, axis1=1, axis2=2) - 1) / 2)
+
+
+def _skew_part(matrices: np.ndarray) -> np.ndarray:
+    """Compute (n, 3) of rotations (n, 3, 3): their axes times twice the sines of their angles."""
+    skew = matrices - np.swapaxes(matrices, 1, 2)
+    return np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]], axis=1)

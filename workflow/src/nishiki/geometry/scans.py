@@ -16,7 +16,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.installation import optional
 
-FILTERS = ("generate_surface_reconstruction_screened_poisson", "compute_normal_for_point_clouds")
+FILTERS = ("generate_surface_reconstruction_screened_poisson",)
 """Filters that this project calls."""
 PACKAGES = ("libgl1", "libopengl0")
 """Debian packages that pymeshlab's plugins load libraries from."""
@@ -107,11 +107,8 @@ def _outward_normals(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import breadth_first_order, connected_components, minimum_spanning_tree
-    from scipy.spatial import cKDTree
 
-    _distance, near = cKDTree(points).query(points, k=min(NORMAL_NEIGHBOURS, len(points)))
-    around = points[near] - points[near].mean(axis=1, keepdims=True)
-    normals = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
+    near, normals = _principal_axes(points, points)
     first, second = np.repeat(np.arange(len(points)), near.shape[1] - 1), near[:, 1:].reshape(-1)
     differ = 1.0001 - np.abs(np.einsum("ij,ij->i", normals[first], normals[second]))
     graph = coo_matrix((differ, (first, second)), (len(points),) * 2).tocsr()
@@ -126,6 +123,15 @@ def _outward_normals(points: np.ndarray, centre: np.ndarray) -> np.ndarray:
         if np.einsum("ij,ij->", normals[mine], points[mine] - centre) < 0:
             normals[mine] = -normals[mine]
     return normals
+
+
+def _principal_axes(points: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Find the neighbours (n, k) among the points of each place (n, 3), and the normals (n, 3) of their planes."""
+    from scipy.spatial import cKDTree
+
+    _, near = cKDTree(points).query(places, k=min(NORMAL_NEIGHBOURS, len(points)))
+    around = points[near] - points[near].mean(axis=1, keepdims=True)
+    return near, np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))[1][:, :, 0]
 
 
 def _poisson(points: np.ndarray, normals: np.ndarray, cells: int) -> tuple[np.ndarray, np.ndarray]:
@@ -145,7 +151,6 @@ def _poisson(points: np.ndarray, normals: np.ndarray, cells: int) -> tuple[np.nd
 POINTS = 4000
 """Points of a scan that are used to align it."""
 COARSE_POINTS = 400  # of a scan for the first search
-STARTS = 72  # rotations
 GOOD_ENOUGH, WORST = 0.4, 1.5
 """Residual of two aligned scans, in spacings of the thinned points: below the first the given place is taken without a
 search, above the second they do not fit."""
@@ -214,12 +219,8 @@ def cloud_of(points: np.ndarray, *, most: int = POINTS) -> Cloud:
     from scipy.spatial import cKDTree
 
     chosen = thinned(points, most)
-    _, near = cKDTree(points).query(chosen, k=min(NORMAL_NEIGHBOURS, len(points)))
-    around = points[near]
-    around = around - around.mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
     distance, _ = cKDTree(chosen).query(chosen, k=2)
-    return Cloud(chosen, axes[:, :, 0], float(np.median(distance[:, 1])))
+    return Cloud(chosen, _principal_axes(points, chosen)[1], float(np.median(distance[:, 1])))
 
 
 def thinned(points: np.ndarray, most: int) -> np.ndarray:
@@ -241,9 +242,9 @@ def register(scans: list[np.ndarray], *, overlap: float = 0.5) -> Registered:
     """Find the motions that bring scans, list of (n, 3) points, together in the frame of the first.
 
     overlap: part of a scan's points that the others have too. Where the given places already fit after alignment
-    (residual below 0.4 spacings of the thinned points), they are the start; else 72 rotations about the centroids
-    are tried. Scans are added one by one, the one that fits best first; then all are aligned once more against all
-    others. Raises UserError where a scan fits nowhere.
+    (residual below 0.4 spacings of the thinned points), they are the start; else the 60 rotations of an icosahedron
+    about the centroids are tried. Scans are added one by one, the one that fits best first; then all are aligned once
+    more against all others. Raises UserError where a scan fits nowhere.
     """
     clouds = [cloud_of(points) for points in scans]
     motions: dict[int, Motion] = {0: Motion.none()}
@@ -295,32 +296,18 @@ def _together(clouds: list[Cloud], motions: dict[int, Motion], overlap: float) -
 
 def _search(cloud: Cloud, target: Cloud, overlap: float) -> tuple[Motion, float]:
     """Find the best of many rotations about the centroids, aligned coarsely with few points, the best five finely."""
+    from scipy.spatial.transform import Rotation
+
     few = Cloud(thinned(cloud.points, COARSE_POINTS), np.empty((0, 3)), cloud.spacing)
     middle, aim = cloud.points.mean(axis=0), target.points.mean(axis=0)
     tried = []
-    for number, rotation in enumerate(rotations(STARTS)):
+    for number, rotation in enumerate(Rotation.create_group("I").as_matrix()):
         start = Motion(rotation, aim - rotation @ middle)
         motion, residual = align(few, target, start, overlap=overlap, steps=15)
         tried.append((residual, number, motion))
     best = sorted(tried, key=lambda item: item[:2])[:5]
     fine = [align(cloud, target, motion, overlap=overlap) for _, _, motion in best]
     return min(fine, key=lambda item: item[1])
-
-
-def rotations(count: int) -> list[np.ndarray]:
-    """Spread rotations (3, 3) evenly over all, the first the identity: a spiral of unit quaternions.
-
-    M. Alexa, Super-Fibonacci spirals, CVPR 2022.
-    """
-    from scipy.spatial.transform import Rotation
-
-    phi, psi = np.sqrt(2.0), 1.533751168755204288118041
-    s = np.arange(count - 1) + 0.5
-    t, d = s / (count - 1), 2 * np.pi * s
-    r, big = np.sqrt(t), np.sqrt(1 - t)
-    alpha, beta = d / phi, d / psi
-    quaternions = np.column_stack([r * np.sin(alpha), r * np.cos(alpha), big * np.sin(beta), big * np.cos(beta)])
-    return [np.eye(3), *Rotation.from_quat(quaternions).as_matrix()]
 
 
 def align(cloud: Cloud, target: Cloud, start: Motion, *, overlap: float, steps: int = 40) -> tuple[Motion, float]:
