@@ -1,10 +1,9 @@
-"""Transfer texels to pixels: sorting by tile, bilinear look-up, rim of the silhouette, visibility in captured views."""
+"""Transfer texels to pixels: bilinear look-up, rim of the silhouette, visibility in captured views."""
 
 import threading
 from collections import OrderedDict
 from itertools import product
 
-import numba
 import numpy as np
 
 from nishiki.geometry.camera import Camera
@@ -12,53 +11,24 @@ from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.visibility import rasterise
 
 
-def by_tile(tile: np.ndarray, slots: int) -> tuple[np.ndarray, np.ndarray]:
-    """Sort pixels by tile, in their order.
+def bilinear(s: np.ndarray, t: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """List the texels of a tile of size x size that pixels at rows s, columns t (n,) float32 are interpolated from.
 
-    tile (n,) uint16; slots: number of tiles.  Returns first (slots + 1,) and order (n,) int64: the pixels of tile k are
-    order[first[k] : first[k + 1]].
+    Returns their flat numbers chosen (m,), and for the four of each pixel place (4, n) in `chosen` and weights (4, n)
+    float32. Coordinates beyond the tile are taken at its border.
     """
-    first = np.concatenate([[0], np.cumsum(np.bincount(tile, minlength=slots))])
-    return first, np.argsort(tile, kind="stable")
+    (i, y), (j, x) = (_cell(np.clip(along, 0, size - 1), size) for along in (s, t))
+    below, right = np.minimum(i + 1, size - 1), np.minimum(j + 1, size - 1)
+    corners = np.stack([i * size + j, i * size + right, below * size + j, below * size + right])
+    chosen, place = np.unique(corners, return_inverse=True)
+    weights = np.stack([(1 - y) * (1 - x), (1 - y) * x, y * (1 - x), y * x])
+    return chosen, place.reshape(corners.shape), weights
 
 
-def asked_for(s: np.ndarray, t: np.ndarray, order: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """List the texels used by some pixels, in a tile of size x size.
-
-    s, t (n,): rows and columns of all pixels, order: those of this tile.  Returns chosen (m,) int64, flat numbers of
-    the texels, and place (size * size,) int32: where each stands in `chosen`, -1 where it is not asked for.
-    """
-    i, j = (np.clip(along[order].astype(np.int64), 0, max(size - 2, 0)) for along in (s, t))
-    asked = np.zeros((size, size), bool)
-    for row, column in product((i, np.minimum(i + 1, size - 1)), (j, np.minimum(j + 1, size - 1))):
-        asked[row, column] = True
-    chosen = np.flatnonzero(asked)
-    place = np.full(size * size, -1, np.int32)
-    place[chosen] = np.arange(len(chosen))
-    return chosen, place
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def look_up(texels, place, size, s, t, order, out):
-    """Sample the chosen texels (m, channels) float32 of a tile bilinearly, for the pixels `order`.
-
-    place (size * size,): as of `asked_for`; out (n, channels) gets the values.
-    Coordinates beyond the tile are taken at its border.
-    """
-    one, last = np.float32(1), np.float32(size - 1)
-    for k in range(order.size):
-        p = order[k]
-        y = min(max(s[p], np.float32(0)), last)
-        x = min(max(t[p], np.float32(0)), last)
-        i, j = min(int(y), max(size - 2, 0)), min(int(x), max(size - 2, 0))
-        fy, fx = y - np.float32(i), x - np.float32(j)
-        below, right = min(i + 1, size - 1), min(j + 1, size - 1)
-        a, b = place[i * size + j], place[i * size + right]
-        c, d = place[below * size + j], place[below * size + right]
-        for channel in range(texels.shape[1]):
-            upper = texels[a, channel] * (one - fx) + texels[b, channel] * fx
-            lower = texels[c, channel] * (one - fx) + texels[d, channel] * fx
-            out[p, channel] = upper * (one - fy) + lower * fy
+def _cell(along: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Split coordinates into the number of the first of two texels and the distance from it, float32."""
+    first = np.minimum(along.astype(np.int64), max(size - 2, 0))
+    return first, (along - first).astype(np.float32)
 
 
 def mix(residual: np.ndarray, visible: np.ndarray, weights: np.ndarray) -> np.ndarray:

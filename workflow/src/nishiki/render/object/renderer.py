@@ -12,7 +12,6 @@ tiles in view are decoded, each once for all pictures of a batch.
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,9 +24,9 @@ from nishiki.colour.colour import encode
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import camera_between, fit_turn, scaled
-from nishiki.geometry.visibility import RayTree, cast, interpolate, make_tree, rasterise
+from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.render.display import developed
-from nishiki.render.object.pixels import DepthMaps, asked_for, by_tile, extend, look_up, mix
+from nishiki.render.object.pixels import DepthMaps, bilinear, extend, mix
 from nishiki.render.object.shots import (
     DecodedTile,
     FreeLighting,
@@ -37,10 +36,8 @@ from nishiki.render.object.shots import (
     ObjectPicture,
     Prepared,
     Shot,
-    ball_around,
     lit_by,
     neighbours,
-    shadow_lift,
 )
 from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
@@ -86,20 +83,14 @@ class ObjectRenderer:
         self.encoding, self.channels = decoded.encoding, decoded.channels
         self.turn = fit_turn(self.cameras, full_turn=decoded.full_turn)
         self.without, self.level = without, level
-        self.lit = None if own_lamps is None else LitObject(mesh, own_lamps)
-        self.model_only, self.rim = model_only or self.lit is not None, rim
+        self.own_lamps, self.lit = own_lamps is not None, LitObject(mesh, own_lamps or FreeLighting(()))
+        self.model_only, self.rim = model_only or self.own_lamps, rim
         self.pictures = None if self.model_only or level else decoded.residual.pictures
         self._lenders: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}  # of the batch, by view and light
-        self._lift, self._far = shadow_lift(mesh), 4 * ball_around(mesh)[1]
         self.threads = given_threads()
         self.depths = DepthMaps(mesh)
         self._cache: OrderedDict[int, DecodedTile] = OrderedDict()
         self._held, self._dropped, self._lock = 0, False, threading.Lock()
-
-    @cached_property
-    def tree(self) -> RayTree:
-        """Of the mesh, for cast shadows."""
-        return make_tree(self.mesh.vertices, self.mesh.triangles)
 
     def captured(self, index: int, *, light: int = 0) -> Shot:
         """Render a captured view from its own slot of the residual."""
@@ -139,9 +130,10 @@ class ObjectRenderer:
         present = np.flatnonzero(np.bincount(tile[tile >= 0], minlength=1))
         places = np.full(int(tile.max(initial=0)) + 2, len(present), np.uint16)  # tile -1 reads the last place
         places[present] = np.arange(len(present))
-        first, order = by_tile(places[tile], len(present) + 1)
+        first = np.concatenate([[0], np.cumsum(np.bincount(places[tile], minlength=len(present) + 1))])
+        order = np.argsort(places[tile], kind="stable")
         slots = {int(number): k for k, number in enumerate(present)}
-        if self.lit:
+        if self.own_lamps:
             shot = lit_by(shot, ((0, 1.0),))
             lamps: list = [self.lit.seen_by(shot.camera)]
         else:
@@ -176,10 +168,10 @@ class ObjectRenderer:
             if slot is None:
                 continue
             order = prepared.order[prepared.first[slot] : prepared.first[slot + 1]]
-            chosen, place = asked_for(prepared.s, prepared.t, order, self.atlas.size)
+            chosen, place, weights = bilinear(prepared.s[order], prepared.t[order], self.atlas.size)
             for k in range(len(prepared.lamps)):
                 texels = self._texels(prepared, k, flat, chosen)
-                look_up(texels, place, self.atlas.size, prepared.s, prepared.t, order, prepared.values[k])
+                prepared.values[k, order] = np.einsum("kn,knc->nc", weights, texels[place])
 
     def _texels(self, prepared: Prepared, place: int, flat: DecodedTile, chosen: np.ndarray) -> np.ndarray:
         """Compute (m, channels) float32: chosen texels of a tile for this camera under one lamp, encoded.
@@ -240,12 +232,7 @@ class ObjectRenderer:
         """Compute (m,) float32: 1 at points lit by a lamp, 0 in its cast shadow; fitted lighting has no shadows."""
         if lamp.form == ENVIRONMENT:
             return np.ones(len(positions), np.float32)
-        lit, near = np.zeros(len(positions), np.float32), lamp.form == POINT
-        facing = np.flatnonzero(((lamp.vector - positions if near else lamp.vector) * normals).sum(axis=1) > 0)
-        starts = positions[facing].astype(np.float64) + self._lift * normals[facing]
-        rays = lamp.vector - starts if near else np.broadcast_to(lamp.vector, starts.shape)
-        lit[facing] = cast(self.tree, starts, rays, far=1.0 if near else self._far, any_hit=True).triangle < 0
-        return lit
+        return self.lit.visible(lamp.vector, lamp.vector[None], positions, normals, near=lamp.form == POINT)
 
     def _decoded(self, pictures: Coded, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
         """Decode a view's picture (channels, rows, columns), and where outline and surface differ (uint8)."""
@@ -284,7 +271,7 @@ class ObjectRenderer:
     def _picture(self, prepared: Prepared) -> ObjectPicture:
         raster, shot = prepared.raster, prepared.shot
         linear = np.zeros((raster.triangle.size, self.channels), np.float32)
-        highest = np.inf if self.lit or self.ceiling is None else self.ceiling
+        highest = np.inf if self.own_lamps or self.ceiling is None else self.ceiling
         for values, (_, weight) in zip(prepared.values, shot.lights, strict=True):
             seen = to_linear(values, self.encoding)
             linear[prepared.pixels] += np.float32(weight) * np.clip(seen, 0, highest, dtype=np.float32)

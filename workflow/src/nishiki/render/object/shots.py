@@ -182,6 +182,22 @@ class LitObject:
         """Tree of the whole mesh, for shadows."""
         return make_tree(self.mesh.vertices, self.mesh.triangles)
 
+    def visible(
+        self, middle, ends: np.ndarray, positions: np.ndarray, normals: np.ndarray, *, near: bool
+    ) -> np.ndarray:
+        """Compute (n,) float32 in 0..1: share of a lamp's disc visible from points (n, 3); 0 where they face away.
+
+        middle (3,), ends (k, 3): of the disc, places where it is near, else directions.
+        """
+        facing = np.flatnonzero(((middle - positions if near else middle) * normals).sum(axis=1) > 0)
+        starts = positions[facing].astype(np.float64) + self.lift * normals[facing].astype(np.float64)
+        seen, out = np.zeros(len(starts), np.int64), np.zeros(len(positions), np.float32)
+        for end in ends:
+            rays = end - starts if near else np.broadcast_to(end, starts.shape)
+            seen += cast(self.tree, starts, rays, far=1.0 if near else 4 * self.radius, any_hit=True).triangle < 0
+        out[facing] = seen / len(ends)
+        return out
+
     def seen_by(self, camera: Camera) -> "LampsInView":
         """Return the lamps in the frame of a camera that views the object."""
         return LampsInView(self, TO_LAMP_FRAME @ camera.rotation, camera.centre)
@@ -209,23 +225,11 @@ class LampsInView:
 
     def visible(self, lamp: FreeLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Compute (n,) float32 in 0..1: share of a lamp's disc visible from points (n, 3); 0 where they face away."""
-        lit, lighting = self.lit, self.lit.lighting
-        out = np.ones(len(positions), np.float32)
+        lighting = self.lit.lighting
         if not lighting.shadows:
-            return out
-        starts = np.asarray(positions, np.float64) + lit.lift * np.asarray(normals, np.float64)
-        middle, ends = self._disc(lamp, lighting.rays if lamp.radius > 0 else 1)
-        near = lamp.distance is not None
-        facing = np.sum(normals * (middle - positions if near else middle), axis=1) > 0
-        out[~facing] = 0
-        starts = starts[facing]
-        seen = np.zeros(len(starts), np.int64)
-        for end in ends:
-            rays = end - starts if near else np.broadcast_to(end, starts.shape)
-            far = 1.0 if near else 4 * lit.radius
-            seen += cast(lit.tree, starts, rays, far=far, any_hit=True).triangle < 0
-        out[facing] = seen / len(ends)
-        return out
+            return np.ones(len(positions), np.float32)
+        disc = self._disc(lamp, lighting.rays if lamp.radius > 0 else 1)
+        return self.lit.visible(*disc, positions, normals, near=lamp.distance is not None)
 
     def _disc(self, lamp: FreeLamp, count: int) -> tuple[np.ndarray, np.ndarray]:
         """Compute middle (3,) and points (count, 3) of a lamp's disc, in the object's frame, or unit directions."""
