@@ -48,53 +48,29 @@ class SparseRows:
 
 
 @lru_cache(maxsize=64)
-def filter_bank(wavelet: str) -> tuple[tuple[float, ...], tuple[float, ...], bool]:
-    """Return low-pass and high-pass analysis filters, and whether the family is orthonormal.
-
-    Raises UserError where PyWavelets knows no discrete wavelet of that name.
-    """
+def family(wavelet: str):
+    """Return a family of filters. UserError where PyWavelets knows no discrete wavelet of that name."""
     import pywt
 
     if wavelet not in pywt.wavelist(kind="discrete"):
         raise UserError(f"wavelet: expected a discrete one of PyWavelets (haar, db2, sym4, ...), found {wavelet!r}")
-    bank = pywt.Wavelet(wavelet)
-    return tuple(bank.dec_lo), tuple(bank.dec_hi), bool(bank.orthogonal)
+    return pywt.Wavelet(wavelet)
 
 
 @lru_cache(maxsize=256)
 def level_matrix(wavelet: str, length: int, *, mirrored: bool = False) -> np.ndarray:
     """Make the matrix (length, length) float64 of one level: rows 0 .. length/2 - 1 low-pass, the rest high-pass.
 
-    length: even. Periodic ends: rows as `pywt.dwt(mode="periodization")` orders them. mirrored: the signal goes on by
-    reflection about its end samples, which needs symmetric filters of odd length (bior2.2, bior4.4).
-    Raises UserError for an odd length or filters that cannot be mirrored.
+    length: even. Periodic ends, or mirrored: the signal goes on by reflection about its end samples, which symmetric
+    filters of odd length (bior2.2, bior4.4) invert. Raises UserError for an odd length.
     """
+    import pywt
+
     if length < 2 or length % 2:
         raise UserError(f"wavelet level: expected an even length, found {length}")
-    low, high, _ = filter_bank(wavelet)
-    matrix = np.zeros((length, length))
-    half = length // 2
-    if mirrored:
-        for row, taps, offset in ((0, _symmetric(wavelet, low), 0), (half, _symmetric(wavelet, high), 1)):
-            reach = len(taps) // 2
-            for i in range(half):
-                for k, tap in enumerate(taps):
-                    at = (2 * i + offset + k - reach) % (2 * length - 2)
-                    matrix[row + i, 2 * length - 2 - at if at >= length else at] += tap
-        return matrix
-    for row, taps in ((0, low), (half, high)):
-        for i in range(half):
-            for k, tap in enumerate(taps):
-                matrix[row + i, (2 * i + len(taps) // 2 - k) % length] += tap
-    return matrix
-
-
-def _symmetric(wavelet: str, taps: tuple[float, ...]) -> np.ndarray:
-    kept = np.flatnonzero(np.abs(taps) > NEGLIGIBLE)
-    inner = np.array(taps[kept[0] : kept[-1] + 1])
-    if len(inner) % 2 == 0 or not np.allclose(inner, inner[::-1]):
-        raise UserError(f"mirrored ends need symmetric filters of odd length (bior2.2, bior4.4), found {wavelet!r}")
-    return inner
+    bands = pywt.dwt(np.eye(length), family(wavelet), mode="reflect" if mirrored else "periodization", axis=0)
+    first = (len(bands[0]) - length // 2) // 2
+    return np.concatenate([band[first : first + length // 2] for band in bands])
 
 
 def levels_of(length: int, most: int) -> int:
@@ -165,7 +141,7 @@ class Plane:
 def plane_transform(wavelet: str, rows: int, columns: int, levels: int, *, mirrored: bool = False) -> Plane:
     """Plan the transform of planes of some size, with fewer levels where a side cannot be halved so often."""
     levels = min(levels_of(rows, levels), levels_of(columns, levels))
-    orthonormal = filter_bank(wavelet)[2] and not mirrored
+    orthonormal = family(wavelet).orthogonal and not mirrored
     down, across = (_axis(wavelet, n, levels, orthonormal=orthonormal, mirrored=mirrored) for n in (rows, columns))
     plane = Plane(down, across, levels, np.ones((rows, columns)), orthonormal)
     if orthonormal:
