@@ -280,10 +280,6 @@ def cameras_section(cameras: Artifact | None, held_out: set[str]) -> Section | N
     ])  # fmt: skip
 
 
-MIRRORED = 1.2
-"""Cost of the mirrored turn, relative to the estimated one, below which photographs do not decide between them."""
-
-
 def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str, str]]:
     """List label and text of facts on the cameras. diagnostics : of the stage; circle : a part of them."""
     errors = [value for value in (diagnostics.get("reprojection_px") or {}).values() if value is not None]
@@ -305,16 +301,15 @@ def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str
 
 
 def estimate_facts(estimate: dict[str, Any], unit: str) -> list[tuple[str, str]]:
-    """Return how sure cameras are that were estimated from the photographs: label and text."""
+    """List label and text of the uncertainty of cameras estimated from the photographs."""
     steps = "equal, as the left-out views prefer"
     if estimate["steps"] == "free":
         steps = f"not equal; each angle to {figure(estimate['angle_sd_deg'])}°"
-    mirrored = estimate["mirror_ratio"] < MIRRORED
     return [
         ("Focal length", f"{figure(estimate['focal_px'])} ± {figure(estimate['focal_sd_px'])} pixels, estimated"),
         ("Camera looks down by", f"{figure(estimate['tilt_deg'])}° ± {figure(estimate['tilt_sd_deg'])}°"),
         ("Steps of the turn", steps),
-        ("Sense of the turn", "uncertain: a mirrored object fits almost as well" if mirrored else "certain"),
+        ("Sense of the turn", f"the other sense fits worse, at {figure(estimate['mirror_ratio'])} times the cost"),
         ("Compared", f"outlines of all views, {estimate['matches']} features that two views share"),
         ("Scale", "arbitrary: no height was stated" if unit == "arbitrary" else "from the stated height"),
     ]
