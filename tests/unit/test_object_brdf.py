@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from nishiki.brdf.texels.environment import Sample, place_lamp
+from nishiki.brdf.texels.environment import Sample, place_lamp, settle
 from nishiki.brdf.texels.model import Lighting, predict
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
@@ -259,3 +259,21 @@ def test_a_lamp_beside_the_camera_is_found_by_shading_and_gloss(place, encoding)
     if not any(place):
         assert found == (0.0, 0.0, 0.0)
     assert np.abs(np.array(found) - lighting.vectors[0]).max() < DISTANCE / 40
+    stated, of = Lighting("camera", ((0.0, 0.0, 0.0),)), np.zeros(len(cameras), int)
+    report = settle(stated, sample, cameras, of, falloff="inverse_square", encoding=encoding)[1]
+    degrees = np.degrees(np.arctan(np.hypot(*place) / 4))
+    assert report.get("beside_camera_deg", [0]) == pytest.approx([degrees], abs=1.5)
+
+
+def test_light_from_all_around_is_no_lamp_beside_the_camera():
+    rng, cameras = np.random.default_rng(5), ring()
+    normals = rng.normal(size=(300, 3)).astype(np.float32)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    values = np.repeat(rng.uniform(0.1, 0.8, (300, 1, 3)), len(cameras), axis=1).astype(np.float32)
+    visible = np.stack([(normals * (c.centre - normals)).sum(axis=1) > 0.2 * DISTANCE for c in cameras], axis=1)
+    sample = Sample(normals, normals, values, visible)
+    lighting, report = settle(
+        Lighting("camera", ((0.0, 0.0, 0.0),)), sample, cameras, np.zeros(len(cameras), int), falloff="none"
+    )
+    assert lighting.kind == "camera"
+    assert "beside_camera_deg" not in report

@@ -239,6 +239,7 @@ LOBE_BIN, LOBE_BINS = np.radians(2), 16  # of the object's common lobe over alph
 LOBE_ROUNDS = 6  # of colours, lobe and robust weights in turn
 PLACING = 1500  # texels
 FIRST_STEP, LAST_STEP = 0.08, 0.004  # of the search for the lamp's place, in distances of the camera
+MOST_BESIDE = 0.5  # distances of the camera; light from all around draws the search farther than any lamp beside it
 LEAST_BESIDE_GAIN = 0.1  # of the residual that a lamp beside the camera has to take off
 
 
@@ -248,7 +249,7 @@ def place_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, encoding: 
     cameras: of the light's observations `of`.  A pattern search for the place whose model, K_d of every texel and one
     lobe for all, has the smallest robust residual.  Shading tells how far the lamp stands to the side, along the turn;
     how high it stands only highlights tell, as far as all texels have the same gloss.  0 0 0 where no place takes
-    LEAST_BESIDE_GAIN off the residual of a lamp at the camera.
+    LEAST_BESIDE_GAIN off the residual of a lamp at the camera, or the best one lies beyond MOST_BESIDE.
     """
     some = slice(None, None, max(len(sample.positions) // PLACING, 1))
     positions, normals, values = sample.positions[some], sample.normals[some], sample.values[some][:, of].mean(axis=-1)
@@ -283,7 +284,7 @@ def place_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, encoding: 
     distance = float(np.linalg.norm(cameras[0].centre - positions.mean(axis=0)))
     place, step = np.zeros(2), FIRST_STEP * distance
     first = best = residual(place)
-    while step > LAST_STEP * distance:
+    while step > LAST_STEP * distance and np.hypot(*place) <= MOST_BESIDE * distance:
         for move in step * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]):
             if (tried := residual(place + move)) < best:
                 best, place = tried, place + move
@@ -291,7 +292,8 @@ def place_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, encoding: 
         else:
             step /= 2
     x, y = place.tolist()
-    return (x, y, 0.0) if best < (1 - LEAST_BESIDE_GAIN) * first else NOWHERE
+    beside = np.hypot(x, y) <= MOST_BESIDE * distance and best < (1 - LEAST_BESIDE_GAIN) * first
+    return (x, y, 0.0) if beside else NOWHERE
 
 
 def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
@@ -315,24 +317,26 @@ def settle(
     """
     if stated.kind == "unknown":
         return _fitted(sample, cameras, light_of, len(stated.vectors), encoding)
+    centre, moved = sample.positions.mean(axis=0) if len(sample.positions) else np.zeros(3), {}
     if stated.kind == "camera" and beside:
         found = [
             place_lamp(sample, [cameras[o] for o in of], of, encoding)
             for of in (np.flatnonzero(light_of == light) for light in range(len(stated.vectors)))
         ]
         if any(map(any, found)):
-            stated = Lighting("position", tuple(found))
+            stated, distance = Lighting("position", tuple(found)), np.linalg.norm(cameras[0].centre - centre)
+            moved = {"beside_camera_deg": np.degrees(np.arctan2(np.hypot(*np.array(found).T[:2]), distance)).tolist()}
     if stated.kind == "direction" or falloff == "none":
-        return stated, {"falloff": "none"}
-    centre = sample.positions.mean(axis=0) if len(sample.positions) else np.zeros(3)
+        return stated, {"falloff": "none", **moved}
     places = [stated.lamp(camera, int(light)).vector for camera, light in zip(cameras, light_of, strict=True)]
     near = replace(stated, reference=float(np.mean(np.linalg.norm(np.array(places) - centre, axis=1))))
     if falloff == "inverse_square":
-        return near, {"falloff": falloff}
+        return near, {"falloff": falloff, **moved}
     left = [_lambert_residual(lighting, sample, cameras, light_of) for lighting in (stated, near)]
     chosen = near if left[1] < (1 - LEAST_NEAR_GAIN) * left[0] else stated
     name = "none" if chosen is stated else "inverse_square"
-    return chosen, {"falloff": name, "residual_without_falloff": left[0], "residual_with_falloff": left[1]}
+    residuals = {"residual_without_falloff": left[0], "residual_with_falloff": left[1]}
+    return chosen, {"falloff": name, **residuals, **moved}
 
 
 def _fitted(

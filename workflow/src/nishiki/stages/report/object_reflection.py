@@ -14,7 +14,7 @@ from nishiki.report.pictures import brightened, brightening, colour_picture, sca
 from nishiki.report.svg import bars, figure, percent
 
 LIGHTING = {
-    "camera": "a lamp beside the camera",
+    "camera": "a lamp at the camera",
     "direction": "lamps of known direction",
     "position": "lamps at known places",
     "environment": "not stated; an irradiance over the normal was fitted",
@@ -37,9 +37,12 @@ def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest:
     highlight, filled, unseen = (
         percent(100 * diagnostics[name]) for name in ("highlight_share", "filled_share", "unseen_share")
     )
+    lighting = LIGHTING.get(diagnostics["lighting"], diagnostics["lighting"])
+    if aside := diagnostics.get("beside_camera_deg"):
+        lighting = f"stated at the camera, found {', '.join(map(figure, aside))}° beside it"
     facts = [
         ("Texels", figure(diagnostics["texels"])),
-        ("Lighting", LIGHTING.get(diagnostics["lighting"], diagnostics["lighting"])),
+        ("Lighting", lighting),
         ("Model alone", f"{figure(diagnostics['psnr_db'])} dB over {figure(diagnostics['samples'])} visible samples"),
         ("Highlight observed", f"{highlight} of the texels; median width {degrees}°"),
         (
