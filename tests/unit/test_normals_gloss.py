@@ -417,13 +417,6 @@ def test_sigma_says_how_wrong_the_normals_are():
     assert said / 1.6 < rms < said * 1.6
 
 
-def test_rotation_is_orthogonal():
-    for channels in range(1, 9):
-        rotation = helmert(channels, full=True)
-        assert np.allclose(rotation @ rotation.T, np.eye(channels), atol=1e-14)
-        assert np.allclose(rotation[0], 1 / np.sqrt(channels))
-
-
 def test_bad_input_is_reported():
     lights = ring()
     observed = np.ones((9, 2, 2, 3), np.float32)
