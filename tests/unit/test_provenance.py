@@ -145,6 +145,22 @@ def test_a_page_is_made_again_where_a_module_that_it_holds_changes_and_nowhere_e
     assert all(program_of(stage).with_suffix(".js").name in names for stage, names in used.items())
 
 
+@pytest.mark.parametrize(
+    ("stages", "unrelated"),
+    [
+        (("mosaic",), ("capture", "polarisation")),
+        (("brdf", "evaluate", "render"), ("report",)),
+        (("export",), ("evaluate/maps.py",)),
+        (("ingest", "normals", "separate", "spectra"), ("report", "render", "export", "commands", "engine", "cli.py")),
+    ],
+)
+def test_a_stage_is_not_made_again_for_code_that_it_does_not_run(stages, unrelated):
+    for stage in stages:
+        files = code_files(program_of(stage))[1:]  # without the stage itself
+        files = {path.relative_to(provenance.SOURCE / "nishiki").as_posix() for path in files}
+        assert not {name for name in files if name.startswith(unrelated)}, stage
+
+
 def test_a_module_that_a_page_imports_and_nobody_has_is_named(tmp_path):
     (tmp_path / "page.js").write_text('import { start } from "viewer/nowhere";\n')
     with pytest.raises(FileNotFoundError, match=r"page\.js: imports viewer/nowhere"):

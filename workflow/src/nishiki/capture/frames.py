@@ -106,7 +106,6 @@ ANGLE_COLUMNS = ("theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg")
 RADIAN_COLUMNS = tuple(name.replace("_deg", "_rad") for name in ANGLE_COLUMNS)
 GONIOMETER_COLUMNS = ("file", "role", *ANGLE_COLUMNS, "exposure_s")
 LARGEST_SHIFT = 1e4  # pixels
-LEAST_SHIFT = 0.5  # pixels: smaller displacements, which the light imitates on smooth relief, are left alone
 DIALECTS = {
     "plane": (ROLES, COLUMNS),
     "turntable": (TURNTABLE_ROLES, TURNTABLE_COLUMNS),

@@ -23,11 +23,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from nishiki.capture.frames import LEAST_SHIFT
 from nishiki.capture.lights import Lights, lights_from_vectors
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.stated_lights import StatedLights
 from nishiki.formats.files import files_with, json_object, leads_out, read_text, same_name
+from nishiki.formats.images import LEAST_SHIFT
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.formats.problems import CaptureError, Problem, error, expect_one, left_out, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading

@@ -12,6 +12,7 @@ from nishiki.errors import UserError
 WAVELENGTHS_NM = np.arange(400.0, 701.0, 5.0)
 WAVELENGTHS_NM.setflags(write=False)
 BANDS = WAVELENGTHS_NM.size
+SPECTRAL_ROWS = 16  # of spectra in memory
 
 
 def resample(

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_matrix, xyz_to_lab
+from nishiki.colour.sampling import SPECTRAL_ROWS
 from nishiki.errors import UserError
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.threads import strips
@@ -196,9 +197,6 @@ def _without_plane(values: np.ndarray, rows: np.ndarray, columns: np.ndarray) ->
     # lstsq: pixels of one line only leave the slope across it free; it takes the smallest
     slope = np.linalg.lstsq(gram, np.array([x @ centred, y @ centred]), rcond=1e-12)[0]
     return centred - slope[0] * x - slope[1] * y, slope, float(np.hypot(*slope))
-
-
-SPECTRAL_ROWS = 16  # of spectra in memory
 
 
 @dataclass(frozen=True)

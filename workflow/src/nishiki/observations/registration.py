@@ -18,8 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.capture.frames import LEAST_SHIFT
-from nishiki.formats.images import Region
+from nishiki.formats.images import LEAST_SHIFT, Region
 
 SIGMAS = 5.0  # times its standard error that a displacement must have
 LIGHT_BIAS = 0.06  # pixels of shift that a change of the lamp imitated on objects that did not move

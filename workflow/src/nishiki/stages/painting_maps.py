@@ -15,11 +15,11 @@ from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.colour.colour import white_xyz, xyz_matrix
 from nishiki.errors import UserError, require
 from nishiki.evaluate.camera_colour import CameraColour, display_map, displayed_colours
+from nishiki.formats.files import read_json
 from nishiki.observations.plane import Observations, point_mm
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.render.plane.scene import Gloss, Light
 from nishiki.render.plane.shade import PlaneMaps, predict_observations
-from nishiki.report.page import read_json
 from nishiki.threads import strips
 
 
@@ -162,7 +162,7 @@ class PaintingMaps:
             Maps(inputs[name].folder) if name in inputs else None for name in ("height", "spectra")
         )
         self.labels = maps_with(brdf, "labels")
-        group, parameters = self.maps.group, read_json(brdf, "parameters.json")
+        group, parameters = self.maps.group, None if brdf is None else read_json(brdf.path("parameters.json"))
         self.shape: tuple[int, int] = group["normals"].shape[:2]
         self.band_rows: int = group["normals"].chunks[0]
         self.pitch_mm: float | None = group.attrs.get("pixel_pitch_mm")

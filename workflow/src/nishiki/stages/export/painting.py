@@ -13,9 +13,8 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.torrance_sparrow import MIRROR, body_factor, specular, transmittance
 from nishiki.colour.colour import srgb_encode
-from nishiki.colour.sampling import WAVELENGTHS_NM
+from nishiki.colour.sampling import SPECTRAL_ROWS, WAVELENGTHS_NM
 from nishiki.errors import UserError, require
-from nishiki.evaluate.maps import SPECTRAL_ROWS
 from nishiki.formats.banded_pictures import EnviWriter, ExrWriter, write_tiff
 from nishiki.formats.coding import ROMM, icc_profile
 from nishiki.formats.merl import MERL_HIDDEN, merl_bytes, merl_directions
