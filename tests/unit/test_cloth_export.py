@@ -41,7 +41,7 @@ from nishiki.stages.export.cloth import (
 )
 from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.render.cloth import lights_of
-from nishiki.stages.report.capture import export_section
+from nishiki.stages.report.capture import exported as exported_section
 
 pytestmark = pytest.mark.slow
 
@@ -202,7 +202,7 @@ def test_a_surface_from_a_file_has_its_texture_coordinates_where_they_follow_the
 
 
 def test_the_page_names_the_file_and_its_loss(exported):
-    (_, table) = export_section(SimpleNamespace(diagnostics=exported.reported)).blocks
+    (_, table) = exported_section(exported.reported).blocks
     (gltf, mitsuba, bsdf) = (row[:2] for row in table.rows)
     assert (gltf, mitsuba, bsdf) == (("gltf", "cloth.glb"), ("mitsuba", "mitsuba/"), ("bsdf", "cloth.bsdf"))
     assert all(re.search(r"\d dB .*CIEDE2000 \d", row[3]) for row in table.rows)

@@ -16,8 +16,13 @@ def turn(psnr_db=42.0, *, views=36, boards=2, unit="mm", unseen=0.0, left_out=No
 
 
 def test_a_line_without_anything_to_say_is_left_out_and_the_first_lack_gives_the_remedy():
-    assert headline([], [], []) == []
-    lines = dict(headline(["one"], [], [(False, "no", "nothing"), (True, "two", "three"), (True, "four", "five")]))
+    assert headline([], []) == []
+    lines = dict(
+        headline(
+            [(1, 2, "one"), (None, 2, "five")],
+            [(False, "no", "nothing"), (True, "two", "three"), (True, "four", "five")],
+        )
+    )
     assert lines == {GOOD: "One.", DOUBTFUL: "Two; four.", REMEDY: "Three."}
 
 
@@ -53,7 +58,7 @@ def test_a_cloth_is_judged_on_directions_left_out_and_by_its_noise():
     assert "12 %" in lines[GOOD]
     assert "1.1 %" in lines[GOOD]
     assert set(lines) == {GOOD}
-    lines = dict(cloth_headline({"normal_incidence": 0, "saturated": 7}, None, "cloth"))
+    lines = dict(cloth_headline({"normal_incidence": 0, "saturated": 7}, {}, "cloth"))
     assert "7 measurements" in lines[DOUBTFUL]
     assert "normal" in lines[REMEDY]
     assert GOOD not in lines

@@ -31,7 +31,7 @@ from nishiki.report.pictures import (
 from nishiki.report.scene_page import conditions, flat, settings_rows, text
 from nishiki.report.svg import Axis, Curve, bars, chart, degrees, figure, lights_plot, percent, plain, signed, ticks
 from nishiki.stages.render import RenderSettings
-from nishiki.stages.report.painting import choices, describe, exposed, gloss_section, verdict
+from nishiki.stages.report.painting import choices, describe, exposed, gloss_blocks, verdict
 from nishiki.stages.report.painting_prediction import chosen, signed_differences
 from nishiki.stages.report.painting_surface import _of_places, spread_out
 from nishiki.stages.separate import SeparateSettings
@@ -332,12 +332,12 @@ def _parameters(gamma):
     return {"regions": [region | {"profile": profile, "transmission": 0.0}]}
 
 
-def blocks_of(section, kind):
-    return [block for block in section.blocks if isinstance(block, kind)]
+def blocks_of(blocks, kind):
+    return [block for block in blocks if isinstance(block, kind)]
 
 
 def test_gloss_is_drawn_twice_and_measured_in_degrees():
-    section = gloss_section(_parameters(0.1))
+    section = gloss_blocks(_parameters(0.1)["regions"], [])
     ((linear, logarithmic),) = (figures.items for figures in blocks_of(section, Figures))
     assert "logarithmic" in logarithmic.heading
     for item in (linear, logarithmic):
@@ -352,8 +352,7 @@ def test_gloss_of_a_matte_scene_has_no_chart():
     region = parameters["regions"][0]
     region["beta"] = [0.0]
     region["profile"] = {"phi": [], "value": [], "count": [], "fitted": []}
-    assert blocks_of(gloss_section(parameters), Figures)[0].items == []
-    assert gloss_section(None) is None
+    assert blocks_of(gloss_blocks(parameters["regions"], []), Figures)[0].items == []
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.9, 30.0), (1e-5, 3.0)])

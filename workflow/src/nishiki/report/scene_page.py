@@ -1,7 +1,7 @@
 """Write the page of a scene: the sections of its stages, then omissions, conditions, provenance and verification."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from markupsafe import Markup
@@ -23,6 +23,7 @@ from nishiki.report.page import (
     Section,
     Table,
     contents,
+    read_json,
     render_page,
 )
 from nishiki.report.pictures import file_jpeg
@@ -49,36 +50,67 @@ SLIGHT = 0.05
 """Share of a surface, of light or of a value up to which a headline is silent on a lack or an error."""
 
 
-def headline(good: list[str], doubtful: list[str], advice: list[tuple[bool, str, str]]) -> list[tuple[str, str]]:
+def headline(
+    measured: Sequence[tuple[float | None, float, str]], advice: Sequence[tuple[bool, str, str]]
+) -> list[tuple[str, str]]:
     """Return label and text of each line, without empty lines.
 
-    advice : whether a lack holds, the lack, and its remedy; the first that holds is what would improve most.
+    measured : values (None: not measured), limits below which they are good, and texts; advice : whether a lack holds,
+    the lack, and its remedy; the first that holds is what would improve most.
     """
-    doubtful = doubtful + [lack for holds, lack, _ in advice if holds]
+    good = [words for value, limit, words in measured if value is not None and value < limit]
+    doubtful = [words for value, limit, words in measured if value is not None and value >= limit]
+    doubtful += [lack for holds, lack, _ in advice if holds]
     remedy = next((remedy for holds, _, remedy in advice if holds), "")
     rows = [("Good", "; ".join(good)), ("Doubtful", "; ".join(doubtful)), ("To improve it most", remedy)]
     return [(label, text[:1].upper() + text[1:] + ".") for label, text in rows if text]
 
 
+class SceneData:
+    """Input of the sections of a page: all that is known of one scene.
+
+    inputs : artifacts by stage; diagnostics : of each; evaluation : evaluation.json, empty without one; settings : of
+    the page; widest : columns of a picture.
+    """
+
+    def __init__(self, context: Context):
+        self.context, self.inputs, self.settings = context, context.inputs, context.settings
+        self.widest = context.settings.picture_columns
+        self.diagnostics = {name: artifact.diagnostics for name, artifact in self.inputs.items()}
+        evaluate = next((each for name, each in self.inputs.items() if name.endswith("evaluate")), None)
+        self.evaluation: dict[str, Any] = read_json(evaluate, "evaluation.json") or {}
+
+    def value(self, *path: str) -> Any:
+        """Return the diagnostic at a path that begins with a stage; None where any part of the path is missing."""
+        return at(self.diagnostics, *path)
+
+
+def at(values: Any, *path: str) -> Any:
+    """Return the value at a path of names; None where any part of the path is missing."""
+    for name in path:
+        values = (values or {}).get(name)
+    return values
+
+
 def write_scene_page(
-    context: Context,
+    data: SceneData,
     stages: Mapping[str, Any],
     head: Head,
-    sections: Sequence[Section | None],
+    sections: Sequence[tuple[str, Callable[[Any], Section | None]]],
     *,
     more_left_out: Sequence[Block] = (),
     more_made: Sequence[Block] = (),
 ) -> dict[str, Any]:
     """Write `report.html`; return the stage's diagnostics.
 
-    stages : declarations in the order of the flow; sections : of the stages, None where one has nothing to show;
+    stages : declarations in the order of the flow; sections : each with the stage without which it is left out;
     more_left_out, more_made : blocks of this kind of scene.
 
     Beside it stands a thumbnail of the first rendered picture. Thumbnail, title and figures are what the page of all
     scenes shows.
     """
-    stamp, settings = context.stamp, context.settings
-    inputs = {name: each for name, each in context.inputs.items() if each.stage == name}  # none in place of another
+    context, stamp, settings = data.context, data.context.stamp, data.settings
+    inputs = {name: each for name, each in data.inputs.items() if each.stage == name}  # none in place of another
     closing = closing_sections(inputs, stages, stamp, settings.left_out, more_left_out, more_made)
     viewer = next((name for name in inputs if name.endswith("viewer")), None)
     beyond = [
@@ -89,7 +121,7 @@ def write_scene_page(
             name, stages[name].limits, inputs[name].diagnostics, inputs[name].settings.get("allow", ())
         )
     ]
-    shown = [section for section in sections if section]
+    shown = [section for stage, write in sections if stage in data.inputs and (section := write(data))]
     if viewer:
         address, summary = f"{viewer}/index.html", "move lamps or the object, zoom, measure, compare: loaded at a click"
         frame = Section("viewer", "Look for yourself", [EmbeddedPage(address, "Viewer", summary)], "Viewer")

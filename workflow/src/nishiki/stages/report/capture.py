@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
 from nishiki.capture.schema import OBJECT_FACTS
 from nishiki.formats.problems import error_text
 from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Note, Section, Table
+from nishiki.report.scene_page import SceneData
 from nishiki.report.svg import bars, degrees, figure, lights_plot, percent
 
 FACTS = (
@@ -181,35 +181,40 @@ INTRO = (
     "Files for other programs, in the folder exports beside this page's artifacts. What a format loses was measured on "
     "the very files; what it cannot hold is said in docs/stages/export.md."
 )
-LEAST_PX = 0.01  # distances of cameras below it are rounding
+LOSSES = {
+    "largest_deg": (-1, 1, "16 bits move a normal by at most {}°"),
+    "pixels_a_vertex": (1, 1, "a vertex of the mesh is the mean of {} pixels"),
+    "pixels_a_texel": (1, 1, "a texel is the mean of {} pixels"),
+    "clipped": (-1, 100, "{} % of the samples are outside of the colour space"),
+    "outside": (-1, 100, "{} % of the reflectances are outside of 0 to 1, and kept so"),
+    "camera_px": (0.01, 1, "its cameras are off by at most {} pixels"),
+}
+"""Losses of one number: the value up to which it is none, factor of the number, and sentence."""
 
 
-def export_section(export: Artifact | None) -> Section | None:
-    """Return the files of each format with their losses; None where nothing was exported."""
-    if export is None:
-        return None
+def export_section(data: SceneData) -> Section:
+    """Return the files of each format with their losses."""
+    return exported(next(diagnostics for name, diagnostics in data.diagnostics.items() if name.endswith("export")))
+
+
+def exported(diagnostics: dict[str, Any]) -> Section:
+    """Return the files of each format with their losses; diagnostics : of the stage export."""
     rows = []
-    for name, each in export.diagnostics["losses"].items():
+    for name, each in diagnostics["losses"].items():
         names = (file.removeprefix("exports/").split("/") for file in each["files"])
         files = ", ".join(dict.fromkeys(first + "/" * bool(below) for first, *below in names))
-        megabytes = sum(export.diagnostics["bytes"][file] for file in each["files"]) / 1e6
+        megabytes = sum(diagnostics["bytes"][file] for file in each["files"]) / 1e6
         rows.append((name, files, f"{megabytes:.2f}", lost(each)))
     return Section("exports", "Exports", [INTRO, Table(("format", "files", "MB", "what it loses"), rows, "lwrw")])
 
 
 def lost(each: dict) -> str:
     """Describe the loss of a format in words."""
-    texts = []
-    if "largest_deg" in each:
-        texts.append(f"16 bits move a normal by at most {figure(each['largest_deg'])}°")
-    if each.get("pixels_a_vertex", 1) > 1:
-        texts.append(f"a vertex of the mesh is the mean of {each['pixels_a_vertex']} pixels")
-    if each.get("pixels_a_texel", 1) > 1:
-        texts.append(f"a texel is the mean of {each['pixels_a_texel']} pixels")
-    if "clipped" in each:
-        texts.append(f"{figure(100 * each['clipped'])} % of the samples are outside of the colour space")
-    if "outside" in each:
-        texts.append(f"{figure(100 * each['outside'])} % of the reflectances are outside of 0 to 1, and kept so")
+    texts = [
+        words.format(figure(factor * each[key]))
+        for key, (least, factor, words) in LOSSES.items()
+        if each.get(key, -1) > least
+    ]
     if each.get("colour_spread"):
         spread = figure(100 * max(each["colour_spread"]))
         texts.append(f"colours of single pixels differ from the one colour of their region by {spread} % (rms)")
@@ -227,6 +232,4 @@ def lost(each: dict) -> str:
         )
     for layer, decibels in each.get("jpeg_psnr_db", {}).items():
         texts.append(f"{layer}: JPEG keeps {figure(decibels)} dB of the coded picture")
-    if each.get("camera_px", 0) >= LEAST_PX:
-        texts.append(f"its cameras are off by at most {figure(each['camera_px'])} pixels")
     return "; ".join(texts) or "nothing"

@@ -8,7 +8,6 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.stage import Context
-from nishiki.goniometry.table import Reflectances
 from nishiki.report.page import (
     Block,
     Cell,
@@ -24,56 +23,48 @@ from nishiki.report.page import (
     read_json,
 )
 from nishiki.report.pictures import PagePicture, encoded, file_picture
-from nishiki.report.scene_page import SLIGHT, Head, headline, write_scene_page
+from nishiki.report.scene_page import SLIGHT, Head, SceneData, at, headline, write_scene_page
 from nishiki.report.svg import INK, PALETTE, Curve, chart, figure, percent
 from nishiki.stages.report.capture import FACTS, export_section
-from nishiki.stages.report.cloth_reflection import curves_section, errors_section, model_name, reflection_section
+from nishiki.stages.report.cloth_reflection import (
+    curves_section,
+    drawn_region,
+    errors_section,
+    mean_error,
+    model_name,
+    reflection_section,
+)
 from nishiki.stages.table import chain_of
 
 
 def run(context: Context) -> dict:
     """Collect the sections that this scene has, and write the page."""
-    inputs, settings = context.inputs, context.settings
-    diagnostics = {name: artifact.diagnostics for name, artifact in inputs.items()}
-    samples, capture = diagnostics["goniometer_samples"], diagnostics.get("ingest") or {}
-    measured = Reflectances(inputs["goniometer_samples"].folder)
-    region = settings.region or measured.regions[0]
-    evaluation = read_json(inputs.get("cloth_evaluate"), "evaluation.json")
-    widest = settings.picture_columns
+    data = SceneData(context)
+    samples, capture = data.diagnostics["goniometer_samples"], data.diagnostics.get("ingest") or {}
+    region = drawn_region(data)
     head = Head(
-        title=(capture.get("capture") or {}).get("title"),
+        title=at(capture, "capture", "title"),
         about="a cloth measured with a goniometer",
         facts=facts(samples, capture),
-        tiles=at_a_glance(samples, evaluation, region),
-        verdict=cloth_headline(samples, evaluation, region),
+        tiles=at_a_glance(samples, data.evaluation, region),
+        verdict=cloth_headline(samples, data.evaluation, region),
         warnings=[*(capture.get("warnings") or []), *(samples.get("warnings") or [])],
     )
-    return write_scene_page(
-        context,
-        chain_of("goniometer"),
-        head,
-        [
-            rendered_section(inputs.get("cloth_render"), widest, settings.video_mb),
-            weave_section(inputs.get("weave"), widest // 2),
-            reflection_section(inputs.get("cloth_brdf"), measured, region),
-            errors_section(evaluation),
-            curves_section(evaluation, region),
-            coverage_section(inputs["goniometer_samples"]),
-            export_section(inputs.get("cloth_export")),
-        ],
-    )
+    return write_scene_page(data, chain_of("goniometer"), head, SECTIONS)
 
 
-def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[Metric]:
+def held_out_errors(evaluation: dict[str, Any], region: str) -> dict[str, dict[str, Any]]:
+    """Return the errors of a region's default model on directions that no fit used, by incidence."""
+    return at(evaluation, "regions", region, "models", evaluation.get("default", ""), "held_out", "by_incidence") or {}
+
+
+def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any], region: str) -> list[Metric]:
     """List the most important figures. samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
     tiles = [Metric(samples["directions"], "", "pairs of directions measured")]
-    if evaluation is not None:
-        default = evaluation["default"]
-        entry = evaluation["regions"].get(region, {}).get("models", {}).get(default) or {}
-        for angle, part in (entry.get("held_out", {}).get("by_incidence") or {}).items():
-            if angle in ("30", "60"):
-                text = f"error at {angle}° incidence, {model_name(default)}"
-                tiles.append(Metric(100 * part["rms_rel"], "%", text))
+    for angle, part in held_out_errors(evaluation, region).items():
+        if angle in ("30", "60"):
+            text = f"error at {angle}° incidence, {model_name(evaluation['default'])}"
+            tiles.append(Metric(100 * part["rms_rel"], "%", text))
     if samples.get("noise_relative") is not None:
         tiles.append(Metric(100 * samples["noise_relative"], "%", "noise of a measurement, median"))
     return tiles
@@ -82,45 +73,36 @@ def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any] | None, regi
 CLOTH_ERROR = 0.15  # relative error on directions left out from which a cloth's gloss looks different
 
 
-def cloth_headline(samples: dict[str, Any], evaluation: dict[str, Any] | None, region: str) -> list[tuple[str, str]]:
+def cloth_headline(samples: dict[str, Any], evaluation: dict[str, Any], region: str) -> list[tuple[str, str]]:
     """Return the headline of a cloth; samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
-    found: tuple[list[str], list[str]] = [], []  # doubtful, good
-    models = ((evaluation or {}).get("regions", {}).get(region) or {}).get("models", {})
-    fitted = models.get((evaluation or {}).get("default")) or {}
-    errors = [part["rms_rel"] for part in ((fitted.get("held_out") or {}).get("by_incidence") or {}).values()]
-    if errors:
-        error = sum(errors) / len(errors)
-        text = f"directions that no fit used are predicted with a mean error of {100 * error:.0f} %"
-        found[error < CLOTH_ERROR].append(text)
-    noise = samples.get("noise_relative")
-    if noise is not None:
-        found[noise < SLIGHT].append(f"half of the measurements have a noise below {figure(100 * noise, 2)} %")
+    error, noise = mean_error(held_out_errors(evaluation, region)), samples.get("noise_relative")
+    left_out = f"directions that no fit used are predicted with a mean error of {100 * (error or 0):.0f} %"
+    noisy = f"half of the measurements have a noise below {figure(100 * (noise or 0), 2)} %"
     saturated = samples.get("saturated") or 0
-    above, cut = samples.get("normal_incidence"), f"{saturated} measurements are saturated: the gloss is cut off"
+    cut = f"{saturated} measurements are saturated: the gloss is cut off"
+    along = "measure one set of views with the light along the normal"
+    untested = "no direction was left out to test the others"
     advice = [
-        (above == 0, "nothing was lit along the normal", "measure one set of views with the light along the normal"),
+        (samples.get("normal_incidence") == 0, "nothing was lit along the normal", along),
         (saturated > 0, cut, "measure the brightest directions again with a shorter exposure"),
-        (
-            not errors,
-            "no direction was left out to test the others",
-            "run cloth_evaluate, with a second plane of light",
-        ),
+        (error is None, untested, "run cloth_evaluate, with a second plane of light"),
         (noise is None, "the noise of a measurement is not known", "measure some directions twice"),
     ]
-    return headline(found[True], found[False], advice)
+    return headline([(error, CLOTH_ERROR, left_out), (noise, SLIGHT, noisy)], advice)
 
 
-def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:
-    """Return pictures of at most `widest` pixels across; None where there are none."""
-    if render is None:
-        return None
+def rendered_section(data: SceneData) -> Section:
+    """Return the rendered pictures by kind: under each light, in each dye, and others."""
+    render = data.inputs["cloth_render"]
     groups: dict[str, list[Figure]] = {"lights": [], "dyes": [], "others": []}
     diagnostics = render.diagnostics
     for name in diagnostics["pictures"]:
         group, heading, caption = words(name)
-        groups[group].append(Figure(heading, caption, file_picture(render.path(f"{name}.png").read_bytes(), widest)))
+        groups[group].append(
+            Figure(heading, caption, file_picture(render.path(f"{name}.png").read_bytes(), data.widest))
+        )
     model = ", ".join(filter(None, (model_name(diagnostics.get("model", "")), diagnostics.get("region"))))
-    from_file = (diagnostics.get("surface") or {}).get("kind") == "file"
+    from_file = at(diagnostics, "surface", "kind") == "file"
     shown = (
         "A surface from a file, covered with the cloth" if from_file else "A square of the cloth that fell over a ball"
     )
@@ -134,7 +116,7 @@ def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> S
         blocks += [heading, Figures(groups["lights"], 3)]
     if groups["dyes"]:
         blocks += [Heading(f"In {dyes} dye{'s' * (dyes > 1)}", "the same gloss over each"), Figures(groups["dyes"], 3)]
-    blocks += [Figures(groups["others"]), *film_and_notes(render, "The film", video_mb)]
+    blocks += [Figures(groups["others"]), *film_and_notes(render, "The film", data.settings.video_mb)]
     return Section("rendered", "The cloth", blocks)
 
 
@@ -151,8 +133,9 @@ def words(name: str) -> tuple[str, str, str]:
     return "others", name.replace("-", " ").capitalize(), ""
 
 
-def coverage_section(samples: Artifact) -> Section:
+def coverage_section(data: SceneData) -> Section:
     """Return the drawing, and a row for each direction of light."""
+    samples = data.inputs["goniometer_samples"]
     blocks: list[Block] = ["Views that were measured for each direction of light."]
     caption = "Each disc is one direction of light; dots are views seen from above, the weft to the right."
     drawing = samples.path("coverage.svg").read_text()
@@ -230,10 +213,9 @@ ANGLES = ("theta_a", "contact")
 PLANES = ("weft", "warp")
 
 
-def weave_section(weave: Artifact | None, widest: int) -> Section | None:
-    """Return every region of weave.json; None where no weave was fitted."""
-    if weave is None:
-        return None
+def weave_section(data: SceneData) -> Section | None:
+    """Return every region of weave.json."""
+    weave = data.inputs["weave"]
     regions = (read_json(weave, "weave.json") or {}).get("regions") or {}
     blocks: list[Block] = []
     for name, entry in regions.items():
@@ -241,12 +223,12 @@ def weave_section(weave: Artifact | None, widest: int) -> Section | None:
         if suffix:
             blocks.append(Heading(name))
         items = drawings(weave, entry, suffix, "section", "Cut through the middle of a yarn.")
-        if data := contents(weave, f"weave{suffix}.png"):
+        if picture := contents(weave, f"weave{suffix}.png"):
             caption = "As fitted, from above: the weft runs to the right."
-            items.append(Figure("The surface", caption, tile_picture(data, widest)))
+            items.append(Figure("The surface", caption, tile_picture(picture, data.widest // 2)))
         blocks += [summary(entry), Figures(items)]
         published: list[Block] = []
-        if rows := parameters((weave.diagnostics.get("regions") or {}).get(name) or {}, entry.get("at_bounds") or []):
+        if rows := parameters(at(weave.diagnostics, "regions", name) or {}, entry.get("at_bounds") or []):
             caption = (
                 f"The sections of Takeda and Tanaka, with confidence intervals "
                 f"({round(100 * weave.settings['confidence'])} %). Lengths are known up to a common scale."
@@ -378,3 +360,15 @@ def notes(entry: dict[str, Any]) -> list[str]:
     if entry.get("at_bounds"):
         texts.append(f"Ended at a bound, so not determined: {', '.join(entry['at_bounds'])}.")
     return texts
+
+
+SECTIONS = (
+    ("cloth_render", rendered_section),
+    ("weave", weave_section),
+    ("cloth_brdf", reflection_section),
+    ("cloth_evaluate", errors_section),
+    ("cloth_evaluate", curves_section),
+    ("goniometer_samples", coverage_section),
+    ("cloth_export", export_section),
+)
+"""Sections of the page in their order, each with the stage without which it is left out."""

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
 from nishiki.goniometry.table import Reflectances
 from nishiki.render.cloth.models import ClothModels
 from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
 from nishiki.report.pictures import PagePicture, Scale, coloured, encoded, heat, hexadecimal
+from nishiki.report.scene_page import SceneData
 from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, figure, outline
 
 INCIDENCES_DEG = (0, 30, 60)
@@ -31,11 +31,15 @@ def model_name(kind: str) -> str:
     return MODEL_NAMES.get(kind, kind.replace("_", " "))
 
 
-def reflection_section(cloth_brdf: Artifact | None, measured: Reflectances, region: str) -> Section | None:
+def drawn_region(data: SceneData) -> str:
+    """Return the region whose lobes and curves are drawn."""
+    return data.settings.region or Reflectances(data.inputs["goniometer_samples"].folder).regions[0]
+
+
+def reflection_section(data: SceneData) -> Section:
     """Return discs and lobes of the region's default model, beside the measured disc; a table of all models."""
-    if cloth_brdf is None:
-        return None
-    models = ClothModels(cloth_brdf.folder)
+    measured, region = Reflectances(data.inputs["goniometer_samples"].folder), drawn_region(data)
+    models = ClothModels(data.inputs["cloth_brdf"].folder)
     brdf = models.brdf(region)
 
     def evaluate(degrees: float, azimuth: float, directions: np.ndarray) -> np.ndarray:
@@ -63,7 +67,7 @@ def reflection_section(cloth_brdf: Artifact | None, measured: Reflectances, regi
             for plane, azimuth in AZIMUTHS.items()
         ]),
     ]  # fmt: skip
-    if models_of_region := (cloth_brdf.diagnostics.get("regions") or {}).get(region):
+    if models_of_region := data.value("cloth_brdf", "regions", region):
         blocks.append(table_of_models(models_of_region, models.default))
     return Section("lobes", "Reflection", blocks)
 
@@ -164,10 +168,9 @@ INTRODUCTION = (
 )
 
 
-def errors_section(evaluation: dict[str, Any] | None) -> Section | None:
-    """Write the error against incidence of each region as table and chart. evaluation : evaluation.json."""
-    if evaluation is None:
-        return None
+def errors_section(data: SceneData) -> Section:
+    """Write the error against incidence of each region as table and chart."""
+    evaluation = data.evaluation
     blocks: list[Block] = [INTRODUCTION]
     for region, facts in evaluation["regions"].items():
         if len(evaluation["regions"]) > 1:
@@ -231,11 +234,11 @@ def mean_error(parts: dict[str, dict]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def curves_section(evaluation: dict[str, Any] | None, region: str) -> Section | None:
+def curves_section(data: SceneData) -> Section | None:
     """Return charts of measured and predicted values in the plane of the light, for one region."""
-    if evaluation is None or not evaluation["regions"].get(region, {}).get("curves"):
+    facts, default = data.evaluation["regions"].get(drawn_region(data), {}), data.evaluation["default"]
+    if not facts.get("curves"):
         return None
-    facts, default = evaluation["regions"][region], evaluation["default"]
     models = sorted(facts["models"], key=lambda model: model != default)
     items = []
     for curve in facts["curves"]:

@@ -1,19 +1,18 @@
 """Write the section of a page on a mosaic: places of its fields, their agreement, and how they were levelled."""
 
+import json
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.maps import shrink
 from nishiki.colour.colour import xyz_to_srgb_linear
-from nishiki.evaluate.camera_colour import CameraColour
-from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Metric, Note, Section, Table, read_json
+from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Metric, Note, Section, Table
 from nishiki.report.pictures import block_of, brightened, brightening, colour_picture
 from nishiki.report.scene_page import Head, headline
 from nishiki.stages.report.capture import about_capture
-from nishiki.stages.report.painting_surface import PageMaps
+from nishiki.stages.report.painting_surface import PaintingData
 
 FIT_PX, SEAM_DE, SEAM_DEG = 0.5, 2.0, 2.0
 """Residual, colour difference and angle between fields above which a headline warns."""
@@ -33,12 +32,12 @@ LAMPS_OF_FIELDS = (
 )
 
 
-def mosaic_section(mosaic: Artifact, page: PageMaps, camera: CameraColour) -> Section:
-    """Return the section; camera : map of the channels to XYZ."""
+def mosaic_section(page: PaintingData) -> Section:
+    """Return the section."""
     import cv2
 
-    described: dict[str, Any] = read_json(mosaic, "mosaic.json") or {}
-    maps = page.maps["normals"]
+    described = json.loads(page.inputs["mosaic"].path("mosaic.json").read_text())
+    maps, camera = page.maps["normals"], page.camera
     block = block_of(page.mask.shape[1], page.widest)
 
     def known(rows: slice) -> np.ndarray:
@@ -88,7 +87,7 @@ def _folded(title: str, table: Table) -> Block:
     return Fold(title, f"all {len(table.rows)}", [table]) if len(table.rows) > LONGEST_TABLE else table
 
 
-def mosaic_head(title: str | None, diagnostics: dict[str, Any], page: PageMaps, tiles: list[Metric]) -> Head:
+def mosaic_head(title: str | None, diagnostics: dict[str, Any], page: PaintingData, tiles: list[Metric]) -> Head:
     """Return the head of the page: merits and doubts of a mosaic, and its most effective improvement.
 
     diagnostics : of the stage mosaic; tiles : figures of the later stages.
@@ -96,8 +95,10 @@ def mosaic_head(title: str | None, diagnostics: dict[str, Any], page: PageMaps, 
     fit, colour, angle = (diagnostics[name] for name in ("registration_rms_px", "seam_delta_e", "seam_deg"))
     overlap = "photograph fields with more overlap, and calibrate the lens"
     boards = "photograph a white board with the camera and the lamps of the fields"
-    good = [f"the fields fit each other to {fit:.2f} pixels"] if fit < FIT_PX else []
-    good += ["no seam is visible in colour"] if colour < SEAM_DE else []
+    measured = [
+        (fit if fit < FIT_PX else None, FIT_PX, f"the fields fit each other to {fit:.2f} pixels"),
+        (colour if colour < SEAM_DE else None, SEAM_DE, "no seam is visible in colour"),
+    ]
     advice = [
         (fit >= FIT_PX, f"the fields fit each other to {fit:.1f} pixels only", overlap),
         (colour >= SEAM_DE, f"colours of fields differ by ΔE00 {colour:.1f} where they overlap", boards),
@@ -117,5 +118,5 @@ def mosaic_head(title: str | None, diagnostics: dict[str, Any], page: PageMaps, 
             Metric(angle, "°", "mean angle between the normals of two fields where they overlap"),
             *tiles,
         ],
-        verdict=headline(good, [], advice),
+        verdict=headline(measured, advice),
     )

@@ -1,11 +1,9 @@
 """Object report: one page on a turntable scene, from the artifacts of all other stages."""
 
-import io
 from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.stage import Context
 from nishiki.formats.stored import load_arrays
 from nishiki.geometry.camera import load_cameras
@@ -20,12 +18,10 @@ from nishiki.report.page import (
     Metric,
     Section,
     Table,
-    contents,
     film_and_notes,
-    read_json,
 )
 from nishiki.report.pictures import bright_picture, encoded, file_picture
-from nishiki.report.scene_page import SLIGHT, Head, headline, write_scene_page
+from nishiki.report.scene_page import SLIGHT, Head, SceneData, at, headline, write_scene_page
 from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, figure, percent
 from nishiki.stages.report.capture import export_section, facts_of_object
 from nishiki.stages.report.object_reflection import model_section, residual_section
@@ -34,53 +30,40 @@ from nishiki.stages.table import chain_of
 
 def run(context: Context) -> dict:
     """Collect the sections that this scene has, and write the page."""
-    inputs, settings = context.inputs, context.settings
-    diagnostics = {name: artifact.diagnostics for name, artifact in inputs.items()}
-    evaluation = read_json(inputs.get("object_evaluate"), "evaluation.json")
-    held_out = set(inputs["texels"].settings["hold_out"]) if "texels" in inputs else set()
-    widest, views = settings.picture_columns, len(diagnostics["ingest"]["views"])
-    one, many = "an object photographed from one place", "an object on a turntable, photographed from {} places"
+    data = SceneData(context)
+    ingest = data.diagnostics["ingest"]
+    views = len(ingest["views"])
+    one, many = "an object photographed from one place", f"an object on a turntable, photographed from {views} places"
     head = Head(
-        title=diagnostics["ingest"]["capture"].get("title"),
-        about=one if views == 1 else many.format(views),
-        facts=facts_of_object(diagnostics["ingest"]),
-        tiles=at_a_glance(diagnostics),
-        verdict=object_headline(diagnostics),
-        warnings=list(diagnostics["ingest"].get("warnings") or []),
+        title=ingest["capture"].get("title"),
+        about=one if views == 1 else many,
+        facts=facts_of_object(ingest),
+        tiles=at_a_glance(data.diagnostics),
+        verdict=object_headline(data.diagnostics),
+        warnings=list(ingest.get("warnings") or []),
     )
-    return write_scene_page(
-        context,
-        chain_of("turntable"),
-        head,
-        [
-            rendered_section(inputs.get("object_render"), widest // 2, settings.video_mb),
-            comparison_section(inputs.get("object_evaluate"), evaluation),
-            views_section(evaluation),
-            model_section(inputs.get("object_brdf"), inputs.get("texels"), widest),
-            residual_section(diagnostics.get("residual"), evaluation),
-            separation_section(inputs.get("polarise"), widest),
-            geometry_section(inputs.get("mesh"), widest),
-            cameras_section(inputs.get("cameras"), held_out),
-            export_section(inputs.get("object_export")),
-        ],
-    )
+    return write_scene_page(data, chain_of("turntable"), head, SECTIONS)
 
 
 def at_a_glance(diagnostics: dict[str, dict[str, Any]]) -> list[Metric]:
     """Return the most important figures; diagnostics : by stage."""
     evaluation = diagnostics.get("object_evaluate") or {}
     psnr = evaluation.get("psnr") or {}
-    left_out = next((figures for name, figures in psnr.items() if name.startswith("left_out")), {})
-    total = (evaluation.get("bytes") or (diagnostics.get("residual") or {}).get("renderer_bytes") or {}).get("total")
+    total = at(evaluation, "bytes", "total") or at(diagnostics, "residual", "renderer_bytes", "total")
     tiles = [
-        ((psnr.get("captured") or {}).get("mean_psnr_db"), "dB", "rendered views against their photographs"),
-        (left_out.get("mean_psnr_db"), "dB", "views that took no part, predicted"),
-        ((psnr.get("model_alone") or {}).get("mean_psnr_db"), "dB", "the reflection model alone"),
+        (at(psnr, "captured", "mean_psnr_db"), "dB", "rendered views against their photographs"),
+        (at(_left_out(psnr), "mean_psnr_db"), "dB", "views that took no part, predicted"),
+        (at(psnr, "model_alone", "mean_psnr_db"), "dB", "the reflection model alone"),
         (None if total is None else total / 1000, "kB", "everything that a renderer needs"),
         (evaluation.get("bits_per_object_pixel"), "bit", "a pixel of the object"),
-        ((diagnostics.get("mesh") or {}).get("triangles"), "", "triangles"),
+        (at(diagnostics, "mesh", "triangles"), "", "triangles"),
     ]
     return [Metric(*tile) for tile in tiles if tile[0] is not None]
+
+
+def _left_out(psnr: dict[str, Any]) -> dict[str, Any] | None:
+    """Return the figures of the views that no fit used."""
+    return next((part for name, part in psnr.items() if name.startswith("left_out") and part), None)
 
 
 CLOSE, PLAIN = 1.0, 3.0  # % of full scale, rms, from which a rendered view is told from its photograph, and at a glance
@@ -89,53 +72,49 @@ FEW_VIEWS = 24  # of an object: steps of more than 15 degrees, between which glo
 
 def object_headline(diagnostics: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
     """Return the headline of a turntable scene; diagnostics : of its stages."""
-    found: tuple[list[str], list[str]] = [], []  # doubtful, good
-    psnr = (diagnostics.get("object_evaluate") or {}).get("psnr") or {}
-    left_out = next((part for name, part in psnr.items() if name.startswith("left_out") and part), None)
-    for part, what, limit in (
-        (psnr.get("captured"), "rendered views differ from their photographs by", CLOSE),
-        (left_out, "views that took no part are predicted with errors of", PLAIN),
-    ):
-        if part:
-            error = 100 * 10 ** (-part["mean_psnr_db"] / 20)
-            found[error < limit].append(f"{what} {figure(error, 2)} % of full scale")
-    covered = ((diagnostics.get("mesh") or {}).get("fit") or {}).get("iou_mean")
+    psnr = at(diagnostics, "object_evaluate", "psnr") or {}
+    left_out = _left_out(psnr)
+    measured = [
+        (error := 100 * 10 ** (-part["mean_psnr_db"] / 20), limit, f"{what} {figure(error, 2)} % of full scale")
+        for part, what, limit in (
+            (psnr.get("captured"), "rendered views differ from their photographs by", CLOSE),
+            (left_out, "views that took no part are predicted with errors of", PLAIN),
+        )
+        if part
+    ]
+    covered = at(diagnostics, "mesh", "fit", "iou_mean")
     if covered is not None:
-        found[covered > 1 - SLIGHT].append(f"the surface covers {100 * covered:.1f} % of the outlines")
+        measured.append((1 - covered, SLIGHT, f"the surface covers {100 * covered:.1f} % of the outlines"))
     ingest, views = diagnostics["ingest"], len(diagnostics["ingest"]["views"])
-    unseen = (diagnostics.get("object_brdf") or {}).get("unseen_share") or 0.0
-    unit = ((ingest.get("capture") or {}).get("turntable") or {}).get("unit", "mm")
-    hidden, untold = f"{100 * unseen:.0f} % of the surface is in no photograph", bool(psnr) and left_out is None
-    pictures = (diagnostics.get("residual") or {}).get("pictures") or {}
+    unseen = at(diagnostics, "object_brdf", "unseen_share") or 0.0
+    unit = (at(ingest, "capture", "turntable") or {}).get("unit", "mm")
+    pictures = at(diagnostics, "residual", "pictures") or {}
     carried = "captured views are stored as pictures, because texels of the surface in as many bytes reach "
     carried += f"{figure(pictures.get('equal_bytes_psnr_db'), 3)} dB; these figures do not hold for views between them"
     scan = "give a mesh or scans of the object"
     scan += "" if "polarise" in diagnostics else ", or photograph it through polarisers"
+    untested = "no view was left out to test views between the photographs"
+    turn = "add a turn with the camera higher, or with the object laid down"
     advice = [
         (bool(pictures), carried, scan),
         (1 < views < FEW_VIEWS, f"{views} views are few", "photograph the object every ten degrees"),
-        (unseen > SLIGHT, hidden, "add a turn with the camera higher, or with the object laid down"),
-        (
-            untold,
-            "no view was left out to test views between the photographs",
-            "name some in the setting texels.hold_out",
-        ),
+        (unseen > SLIGHT, f"{100 * unseen:.0f} % of the surface is in no photograph", turn),
+        (bool(psnr) and left_out is None, untested, "name some in the setting texels.hold_out"),
         (not ingest.get("boards"), "no white board: brightness is relative", "photograph a white board (--white)"),
         (unit in (None, "none"), "no unit of length: sizes are relative", "state turntable.unit"),
     ]
-    return headline(found[True], found[False], advice)
+    return headline(measured, advice)
 
 
-def rendered_section(render: Artifact | None, widest: int, video_mb: float) -> Section | None:
-    """Return pictures of at most `widest` pixels across; None where there are none."""
-    if render is None:
-        return None
+def rendered_section(data: SceneData) -> Section:
+    """Return the rendered pictures, half as wide as the widest of the page."""
+    render = data.inputs["object_render"]
     items = []
     for name in list(render.diagnostics["pictures"])[:MOST_PICTURES]:
-        picture, note = bright_picture(render.path(f"{name}.png").read_bytes(), widest)
+        picture, note = bright_picture(render.path(f"{name}.png").read_bytes(), data.widest // 2)
         items.append(Figure(words(name), note, picture))
     intro = "Pictures computed from the decoded record: mesh, reflection model and residual."
-    blocks = [intro, Figures(items, 3), *film_and_notes(render, "The turn", video_mb)]
+    blocks = [intro, Figures(items, 3), *film_and_notes(render, "The turn", data.settings.video_mb)]
     return Section("rendered", "Rendered", blocks)
 
 
@@ -165,12 +144,11 @@ PICTURES = {
 }
 
 
-def comparison_section(evaluate: Artifact | None, evaluation: dict[str, Any] | None) -> Section | None:
-    """Return photograph, rendered view, model alone and difference of some views; evaluation : evaluation.json."""
+def comparison_section(data: SceneData) -> Section | None:
+    """Return photograph, rendered view, model alone and difference of some views."""
     blocks: list[Block] = []
-    for entry in (evaluation or {}).get("pictures") or []:
-        data = contents(evaluate, entry["arrays"])
-        arrays = {} if data is None else load_arrays(io.BytesIO(data), name=entry["arrays"])
+    for entry in data.evaluation.get("pictures") or []:
+        arrays = load_arrays(data.inputs["object_evaluate"].path(entry["arrays"]))
         items = [
             Figure(heading, "" if blocks else caption, encoded(np.ascontiguousarray(arrays[key])))
             for key, (heading, caption) in PICTURES.items()
@@ -182,10 +160,9 @@ def comparison_section(evaluate: Artifact | None, evaluation: dict[str, Any] | N
     return Section("comparison", "Photograph and rendering", blocks) if blocks else None
 
 
-def views_section(evaluation: dict[str, Any] | None) -> Section | None:
+def views_section(data: SceneData) -> Section:
     """Return figures over all views of each kind of picture, and every view's."""
-    if evaluation is None:
-        return None
+    evaluation = data.evaluation
     scale = "sRGB-coded" if evaluation["encoding"] == "srgb" else "linear"
     columns = {
         "views": "views",
@@ -217,13 +194,16 @@ def views_section(evaluation: dict[str, Any] | None) -> Section | None:
     ])  # fmt: skip
 
 
-def separation_section(polarise: Artifact | None, widest: int) -> Section | None:
+def separation_section(data: SceneData) -> Section:
     """Write the results of polarisation separation, with the first pictures that the stage drew."""
-    if polarise is None:
-        return None
+    polarise = data.inputs["polarise"]
     shown = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_PICTURES]
     items = [
-        Figure(f"View {view}: all light, diffuse, specular", "", file_picture(contents(polarise, file), widest))
+        Figure(
+            f"View {view}: all light, diffuse, specular",
+            "",
+            file_picture(polarise.path(file).read_bytes(), data.widest),
+        )
         for file, view in shown
     ]
     return Section("separation", "Separation", [*sentences(polarise.diagnostics), Figures(items)])
@@ -265,10 +245,10 @@ MOST_MARKED, MOST_NAMED = 40, 12
 """Largest number of cameras with names, and approximate number of names drawn."""
 
 
-def cameras_section(cameras: Artifact | None, held_out: set[str]) -> Section | None:
-    """Write the section on the cameras; None where the poses are unknown."""
-    if cameras is None:
-        return None
+def cameras_section(data: SceneData) -> Section:
+    """Write the section on the cameras."""
+    cameras = data.inputs["cameras"]
+    held_out = set(data.inputs["texels"].settings["hold_out"]) if "texels" in data.inputs else set()
     diagnostics, views = cameras.diagnostics, load_cameras(cameras.path("cameras.json"))
     circle = diagnostics.get("circle") or {}
     centres = np.array([camera.centre for camera in views])
@@ -354,28 +334,44 @@ def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return right, np.cross(axis, right)
 
 
-def geometry_section(mesh: Artifact | None, widest: int) -> Section | None:
+def geometry_section(data: SceneData) -> Section:
     """Return counts, silhouettes and a picture of the surface."""
-    if mesh is None:
-        return None
-    preview = file_picture(mesh.path("preview.png").read_bytes(), widest)
+    mesh = data.inputs["mesh"]
+    preview = file_picture(mesh.path("preview.png").read_bytes(), data.widest)
     figure = Figure("The surface", "as the stage mesh drew it.", preview)
     return Section("geometry", "Geometry", [Table((), rows(mesh.diagnostics), "lr"), Figures([figure])])
 
 
+SURFACE = {
+    "triangles before decimation": ("decimation", "triangles_before"),
+    "deviation by decimation, pixels": ("decimation", "deviation_px"),
+    "silhouettes covered (IoU), mean": ("fit", "iou_mean"),
+    "silhouettes covered (IoU), least": ("fit", "iou_least"),
+    "of views left out (IoU), mean": ("fit", "iou_held_out"),
+}
+"""Labels of the mesh's diagnostics, by their paths."""
+
+
 def rows(mesh: dict[str, Any]) -> list[tuple[str, Cell]]:
     """List label and value of facts on the surface; mesh : diagnostics of the stage."""
-    fit, decimation = mesh.get("fit") or {}, mesh.get("decimation") or {}
     values: list[tuple[str, Cell]] = [(name, mesh.get(name)) for name in ("source", "unit", "vertices", "triangles")]
     values.append(("watertight", {True: "yes", False: "no"}.get(mesh.get("watertight"))))
     values += [("parts", mesh.get("parts")), ("holes through the body (genus)", mesh.get("genus"))]
     for name, count in (mesh.get("cleaned") or {}).items():
         values.append((f"removed or mended: {name.replace('_', ' ')}", count or None))
-    values += [
-        ("triangles before decimation", decimation.get("triangles_before")),
-        ("deviation by decimation, pixels", decimation.get("deviation_px")),
-        ("silhouettes covered (IoU), mean", fit.get("iou_mean")),
-        ("silhouettes covered (IoU), least", fit.get("iou_least")),
-        ("of views left out (IoU), mean", fit.get("iou_held_out")),
-    ]
+    values += [(label, at(mesh, *path)) for label, path in SURFACE.items()]
     return [(name, value) for name, value in values if value is not None]
+
+
+SECTIONS = (
+    ("object_render", rendered_section),
+    ("object_evaluate", comparison_section),
+    ("object_evaluate", views_section),
+    ("object_brdf", model_section),
+    ("residual", residual_section),
+    ("polarise", separation_section),
+    ("mesh", geometry_section),
+    ("cameras", cameras_section),
+    ("object_export", export_section),
+)
+"""Sections of the page in their order, each with the stage without which it is left out."""

@@ -1,16 +1,14 @@
 """Write the sections of an object's page on its texels: parameters as sheets of charts, cost of the residual."""
 
-from typing import Any
-
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.quality import atlas_picture
 from nishiki.atlas.store import ATLAS
 from nishiki.brdf.texels.parameters import ParameterMaps, TexelFlag
 from nishiki.report.page import Block, Facts, Figure, Figures, Fold, Section, Table
 from nishiki.report.pictures import brightened, brightening, colour_picture, scalar_picture, sea
+from nishiki.report.scene_page import SceneData
 from nishiki.report.svg import bars, figure, percent
 
 LIGHTING = {
@@ -21,10 +19,9 @@ LIGHTING = {
 }
 
 
-def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest: int) -> Section | None:
-    """Write parameter maps as sheets of all charts, and the fit's diagnostics; None without both stages."""
-    if object_brdf is None or texels is None:
-        return None
+def model_section(data: SceneData) -> Section:
+    """Write parameter maps as sheets of all charts, and the fit's diagnostics."""
+    object_brdf = data.inputs["object_brdf"]
     maps, diagnostics = ParameterMaps(object_brdf.folder), object_brdf.diagnostics
 
     def read(tile: int) -> np.ndarray:
@@ -55,7 +52,9 @@ def model_section(object_brdf: Artifact | None, texels: Artifact | None, widest:
         "model. The sheets show the charts of the surface beside each other."
     )
     parameters = np.stack([read(tile) for tile in range(maps.tiles)])
-    figures = parameter_figures(atlas_picture(Atlas.load(texels.path(ATLAS)), parameters, width=widest))
+    figures = parameter_figures(
+        atlas_picture(Atlas.load(data.inputs["texels"].path(ATLAS)), parameters, width=data.widest)
+    )
     if len(figures) == 1:
         intro += " No texel has a highlight in this fit, so that there are no sheets of its strength and width."
     return Section("model", "Reflection", [intro, Figures(figures, 3), Facts(facts)])
@@ -86,28 +85,18 @@ def three(values: np.ndarray) -> np.ndarray:
 
 
 PART_NAMES = {
-    "mesh": "mesh",
-    "charts": "charts",
-    "cameras": "cameras",
-    "lamps": "lamps",
-    "residual_parameters": "reflection parameters",
-    "residual_residual": "residual",
-    "residual_pictures": "captured views as pictures",
-    "residual_start_states": "entropy coder's start",
-    "residual_container": "container",
-    "residual_header": "header",
-    "residual_index": "index of the tiles",
     "parameters": "reflection parameters",
+    "pictures": "captured views as pictures",
     "start_states": "entropy coder's start",
     "index": "index of the tiles",
 }
+"""Names in words of parts of the residual's file, where they are not those of the code."""
 SUMS = ("total", "residual_total")
 
 
-def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any] | None) -> Section | None:
-    """Write the section. residual : diagnostics of the stage or None; evaluation : evaluation.json or None."""
-    if residual is None:
-        return None
+def residual_section(data: SceneData) -> Section:
+    """Write the section on what the model does not explain, and on its bytes."""
+    residual = data.diagnostics["residual"]
     intro = "What the model does not explain is kept as wavelet coefficients over the surface and the views."
     if not residual["pictures"]:
         intro += f" {figure(residual['empty_tiles'])} of {figure(residual['tiles'])} tiles need none."
@@ -126,8 +115,11 @@ def residual_section(residual: dict[str, Any] | None, evaluation: dict[str, Any]
         ("Coded size", f"{figure(residual['bits_per_pixel'])} bit an object pixel"),
         ("All that a renderer needs", f"{figure(everything['total'] / 1000)} kB, {beside}"),
     ]
-    parts = evaluation["bytes"] if evaluation else everything
-    rows = [(PART_NAMES.get(name, name.replace("_", " ")), size) for name, size in parts.items()]
+    parts = data.evaluation.get("bytes", everything)
+    short = [name if name in SUMS else name.replace("residual_", "", 1) for name in parts]
+    rows = [
+        (PART_NAMES.get(name, name.replace("_", " ")), size) for name, size in zip(short, parts.values(), strict=True)
+    ]
     largest = sorted((-size, name) for (name, size), part in zip(rows, parts, strict=True) if part not in SUMS)
     svg = bars([-size / 1000 for size, _ in largest], [name for _, name in largest], title="bytes by part", unit="kB")
     drawing = Figure("Where the bytes go", "Everything that a renderer needs.", svg=svg)

@@ -1,13 +1,12 @@
 """Report: one page on a painting, from the artifacts of all other stages."""
 
+import json
 from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, shrink
+from nishiki.artifacts.maps import shrink
 from nishiki.artifacts.stage import Context
-from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
 from nishiki.report.page import (
     MOST_PICTURES,
@@ -20,15 +19,14 @@ from nishiki.report.page import (
     Table,
     film,
     film_and_notes,
-    read_json,
 )
-from nishiki.report.pictures import Ruler, block_of, class_picture, file_picture, ruler
+from nishiki.report.pictures import block_of, class_picture, file_picture
 from nishiki.report.scene_page import SLIGHT, Head, headline, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart, plain
-from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting, kind_of
+from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting
 from nishiki.stages.report.mosaic import LAMPS_OF_FIELDS, mosaic_head, mosaic_section
 from nishiki.stages.report.painting_prediction import part_name, relighting_section, worst_level, worst_part
-from nishiki.stages.report.painting_surface import PageMaps, colour_section, shape_section
+from nishiki.stages.report.painting_surface import PaintingData, colour_section, finish_names, shape_section
 from nishiki.stages.table import CHAIN
 
 NO_TRUTH = (
@@ -40,63 +38,23 @@ NO_TRUTH = (
 
 def run(context: Context) -> dict:
     """Collect the sections that this scene has, and write the page."""
-    inputs, settings = context.inputs, context.settings
-    widest = settings.picture_columns
-    diagnostics = {name: artifact.diagnostics for name, artifact in inputs.items()}
-    frames = Observations(inputs["ingest"].folder)
-    maps = {name: Maps(artifact.folder) for name, artifact in inputs.items() if artifact.path("maps.zarr").is_dir()}
-    evaluation = read_json(inputs.get("evaluate"), "evaluation.json")
-    scale_bar = ruler(frames.shape[1], frames.pixel_pitch_mm)
-    held_out = inputs["normals"].settings.get("hold_out", [])
-    kinds = [kind_of(name, role, held_out) for name, role in zip(frames.lights, frames.roles, strict=True)]
-    names = finish_names(diagnostics["normals"].get("finishes") or [])
-    relighting = relighting_section(inputs.get("evaluate"), maps.get("evaluate"), evaluation, widest, names)
-    truth = evaluation or {}
-    camera = read_camera_colour(inputs["ingest"].path("curves.npz"), len(frames.channels), frames.to_srgb)
-    page = PageMaps(maps, frames.mask, frames.pixel_pitch_mm, truth, widest, scale_bar)
-    title, tiles = diagnostics["ingest"]["capture"]["title"], at_a_glance(diagnostics, evaluation)
-    if mosaic := inputs.get("mosaic"):
-        head, captured = mosaic_head(title, mosaic.diagnostics, page, tiles), mosaic_section(mosaic, page, camera)
+    data = PaintingData(context)
+    title, tiles = data.diagnostics["ingest"]["capture"]["title"], at_a_glance(data.diagnostics, data.evaluation)
+    if "mosaic" in data.inputs:
+        head = mosaic_head(title, data.diagnostics["mosaic"], data, tiles)
     else:
         head = Head(
             title=title,
-            about=f"digitised from {len(frames.lights)} photographs, each under another light",
-            facts=facts_of_painting(diagnostics["ingest"], list(frames.channels), frames.pixel_pitch_mm, kinds),
+            about=f"digitised from {len(data.kinds)} photographs, each under another light",
+            facts=facts_of_painting(data.diagnostics["ingest"], list(data.frames.channels), data.pitch, data.kinds),
             tiles=tiles,
-            verdict=verdict(diagnostics, evaluation, frames, guessed=camera.rmse is None),
+            verdict=verdict(data.diagnostics, data.evaluation, data.frames, guessed=data.camera.rmse is None),
         )
-        captured = capture_section(
-            diagnostics["ingest"], lights=list(frames.lights), kinds=kinds, directions=frames.directions
-        )
-    return write_scene_page(
-        context,
-        CHAIN,
-        head,
-        [
-            appearance_section(inputs.get("render"), widest, settings.video_mb, scale_bar),
-            relighting,
-            shape_section(page, diagnostics["normals"]),
-            colour_section(
-                page, camera=camera, expected_de00=diagnostics.get("spectra", {}).get("expected_de00") or {}
-            ),
-            gloss_section(
-                read_json(inputs.get("brdf"), "parameters.json"),
-                finishes=finishes_of(page, diagnostics["normals"].get("finishes") or []),
-                names=names,
-            ),
-            captured,
-            export_section(inputs.get("export")),
-        ],
-        more_left_out=[
-            *([LAMPS_OF_FIELDS] if mosaic else []),
-            *(
-                []
-                if any(truth.get(name) for name in ("normals", "height", "reflectance"))
-                else [NO_TRUTH.format("" if relighting else "; none were")]
-            ),
-        ],
-        more_made=[choices({name: artifact.settings for name, artifact in inputs.items()})],
-    )
+    left_out = [LAMPS_OF_FIELDS] if "mosaic" in data.inputs else []
+    if not any(data.evaluation.get(name) for name in ("normals", "height", "reflectance")):
+        left_out.append(NO_TRUTH.format("" if data.evaluation.get("lights") else "; none were"))
+    made = choices({name: artifact.settings for name, artifact in data.inputs.items()})
+    return write_scene_page(data, CHAIN, head, SECTIONS, more_left_out=left_out, more_made=[made])
 
 
 INTRODUCTION = (
@@ -110,32 +68,11 @@ FLAGS = {"AT_BOUND": "width at its bound", "NOT_CONVERGED": "not converged"}
 """Descriptions of a fit's flags (`nishiki.brdf.fit`)."""
 
 
-GLOSSY_DEG, SATIN_DEG = 6.0, 13.0
-"""Largest half widths of the facets of a finish named glossy, and satin."""
-
-
-def finish_names(finishes: list[dict[str, Any]]) -> list[str]:
-    """Name every finish of the diagnostics of `normals` by its gloss, alike ones with a number."""
-    names = []
-    for finish in finishes:
-        beta, gamma = (np.array(finish.get(name) or [0.0]) for name in ("gloss_beta", "gloss_gamma_deg"))
-        phi = np.linspace(0, 90, 1801)
-        profile = np.exp2(-((phi[:, None] / np.maximum(gamma, 1e-9)) ** 2)) @ beta
-        half = float(phi[profile >= 0.5 * profile[0]].max())
-        shiny = "glossy" if half < GLOSSY_DEG else "satin" if half < SATIN_DEG else "sheen"
-        name = shiny if beta.any() and finish.get("gloss_counts", True) else "matt"
-        if finish["joint"] and "gloss_colour" in finish:
-            colour = finish["gloss_colour"]
-            name = "gilding" if len(colour) == 3 and colour[0] >= colour[1] > colour[2] else "metal"
-        names.append(name)
-    return [f"{name} {names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
-
-
-def finishes_of(page: PageMaps, finishes: list[dict[str, Any]]) -> list[Block]:
+def finishes_of(page: PaintingData) -> list[Block]:
     """Return the map of the finishes and their figures; nothing where one explains the painting."""
+    finishes, names = page.finishes, page.names
     if len(finishes) < 2 or "finish" not in page.maps["normals"]:
         return []
-    names = finish_names(finishes)
     block = block_of(page.mask.shape[1], page.widest)
     maps = page.maps["normals"]
     labels = shrink(
@@ -166,23 +103,19 @@ def finishes_of(page: PageMaps, finishes: list[dict[str, Any]]) -> list[Block]:
     return [figures, Table(head, rows, "lrrlr", caption)]
 
 
-def gloss_section(
-    parameters: dict[str, Any] | None,
-    *,
-    finishes: list[Block] | None = None,
-    names: list[str] | None = None,
-) -> Section | None:
-    """Write the section on gloss; None where no gloss was fitted.
+def gloss_section(page: PaintingData) -> Section:
+    """Write the section on gloss."""
+    parameters = json.loads(page.inputs["brdf"].path("parameters.json").read_text())
+    return Section("gloss", "Gloss", [*finishes_of(page), *gloss_blocks(parameters["regions"], page.names)])
 
-    parameters : parameters.json of the stage brdf; finishes : their map and figures; names : of the regions.
-    """
-    if parameters is None:
-        return None
+
+def gloss_blocks(regions: list[dict[str, Any]], names: list[str]) -> list[Block]:
+    """Return profiles and lobes of the regions of parameters.json; names : of the finishes."""
     rows: list[list[Cell]] = []
     charts: list[Figure] = []
-    for number, region in enumerate(parameters["regions"]):
-        name = f"region {number}" if len(parameters["regions"]) > 1 else "whole scene"
-        name = names[number] if names and len(names) == len(parameters["regions"]) > 1 else name
+    for number, region in enumerate(regions):
+        name = f"region {number}" if len(regions) > 1 else "whole scene"
+        name = names[number] if len(names) == len(regions) > 1 else name
         flags = ", ".join(FLAGS.get(flag, flag) for flag in region.get("flags") or []) or "–"
         rest = (region["refractive_index"], region.get("samples"), region.get("residual"), flags)
         for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
@@ -194,8 +127,7 @@ def gloss_section(
         "Torrance-Sparrow parameters: strength β relative to the white reference, half width at half maximum γ, "
         "refractive index n."
     )
-    blocks: list[Block] = [*(finishes or []), INTRODUCTION, Figures(charts), Table(head, rows, "lrrrrrrrl", caption)]
-    return Section("gloss", "Gloss", blocks)
+    return [INTRODUCTION, Figures(charts), Table(head, rows, "lrrrrrrrl", caption)]
 
 
 def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
@@ -236,16 +168,15 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
     return [Figure(heading, LINEAR, svg=linear), Figure(f"{heading}, logarithmic", LOGARITHMIC, svg=logarithmic)]
 
 
-def appearance_section(render: Artifact | None, widest: int, video_mb: float, ruler: Ruler | None) -> Section | None:
-    """Return pictures of at most `widest` pixels across, None without any; ruler : below those seen from the front."""
-    if render is None:
-        return None
+def appearance_section(page: PaintingData) -> Section:
+    """Return pictures and films; a scale bar is below those seen from the front."""
+    render, video_mb = page.inputs["render"], page.settings.video_mb
     reported, pictures = render.diagnostics["pictures"], render.settings["pictures"]
     items = []
     for entry in pictures[:MOST_PICTURES]:
         exposure = exposed(reported[entry["name"]]["exposure"], chosen=entry["exposure"] == "auto")
-        picture = file_picture(render.path(f"{entry['name']}.png").read_bytes(), widest)
-        scale = ruler if entry["view"]["kind"] == "frontal" else None
+        picture = file_picture(render.path(f"{entry['name']}.png").read_bytes(), page.widest)
+        scale = page.ruler if entry["view"]["kind"] == "frontal" else None
         items.append(Figure(in_words(entry["name"]), f"{describe(entry)} {exposure}", picture, ruler=scale))
     intro = (
         "Pictures computed from the record, under lights that need not have been there. They show the object as an eye "
@@ -263,6 +194,16 @@ def appearance_section(render: Artifact | None, widest: int, video_mb: float, ru
     if more := [f"render/{render.key}/{entry['name']}.png" for entry in pictures[MOST_PICTURES:]]:
         blocks.append(f"Also made: {', '.join(more)}.")
     return Section("appearance", "Appearance", [*blocks, *film_and_notes(render, "", video_mb)])
+
+
+def photographs_section(page: PaintingData) -> Section | None:
+    """Return the photographs and their lights; those of a mosaic belong to its fields."""
+    if "mosaic" in page.inputs:
+        return None
+    frames = page.frames
+    return capture_section(
+        page.diagnostics["ingest"], lights=list(frames.lights), kinds=page.kinds, directions=frames.directions
+    )
 
 
 def in_words(name: str) -> str:
@@ -321,9 +262,9 @@ def expected_angle(normals: dict[str, Any], height: dict[str, Any] | None) -> fl
     return (height or {}).get("expected_error_median_deg", normals.get("sigma_median_deg"))
 
 
-def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any] | None) -> list[Metric]:
-    """List the most important figures; diagnostics : of the stages; evaluation : evaluation.json or None."""
-    normals, evaluation = diagnostics["normals"], evaluation or {}
+def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any]) -> list[Metric]:
+    """List the most important figures; diagnostics : of the stages; evaluation : evaluation.json."""
+    normals = diagnostics["normals"]
     tiles: list[tuple[float | None, str, str]] = []
     if lights := evaluation.get("lights"):
         overall, photographs = evaluation["overall"]["de00"], f"{len(lights)} photograph{'s' * (len(lights) > 1)}"
@@ -360,59 +301,60 @@ FEW_LAMPS = 8  # that a headline warns of
 
 
 def verdict(
-    diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any] | None, frames: Observations, *, guessed: bool
+    diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any], frames: Observations, *, guessed: bool
 ) -> list[tuple[str, str]]:
     """State merits and doubts of a painting's record, and its most effective improvement.
 
     diagnostics : of the stages; guessed : whether the colours of the camera's channels are a guess.
     """
-    normals, good, doubtful = diagnostics["normals"], [], []
+    normals = diagnostics["normals"]
     names = finish_names(normals.get("finishes") or [])
-    error = evaluation["overall"]["de00"]["mean"] if evaluation and evaluation.get("lights") else None
-    if parts := (evaluation or {}).get("parts"):
+    error = evaluation["overall"]["de00"]["mean"] if evaluation.get("lights") else None
+    measured: list[tuple[float | None, float, str]] = []
+    if parts := evaluation.get("parts"):
         error = worst_part(parts)["de00"]["mean"]  # the worst finish decides
         for part in parts:
             light = worst_level(part)
-            if abs(light["level_error"]) > SLIGHT:
-                side = "bright" if light["level_error"] > 0 else "dark"
-                doubtful.append(
-                    f"{part_name(part, names)} is predicted {100 * abs(light['level_error']):.0f} % too {side} under a "
-                    f"lamp {light['incidence_deg']:.0f}° from the normal"
-                )
+            level = light["level_error"]
+            if abs(level) > SLIGHT:
+                side = f"{100 * abs(level):.0f} % too {'bright' if level > 0 else 'dark'}"
+                lamp = f"under a lamp {light['incidence_deg']:.0f}° from the normal"
+                measured.append((abs(level), SLIGHT, f"{part_name(part, names)} is predicted {side} {lamp}"))
     if error is not None:
-        words = (
-            "hardly visible" if error < VISIBLE else "visible beside each other" if error < PLAIN else "plain to see"
-        )
+        words = "hardly visible" if error < VISIBLE else "visible beside each other"
+        words = words if error < PLAIN else "plain to see"
         text = f"photographs that no fit used are predicted with errors that are at most {words} (ΔE00 {error:.1f})"
-        (good if error < PLAIN else doubtful).append(text)
+        measured.append((error, PLAIN, text))
     sigma = expected_angle(normals, diagnostics.get("height"))
-    if sigma is not None and not (evaluation or {}).get("normals"):
-        (good if sigma < VISIBLE else doubtful).append(
-            f"half of the normals are expected within {sigma:.1f}° of the true ones"
-        )
+    if sigma is not None and not evaluation.get("normals"):
+        measured.append((sigma, VISIBLE, f"half of the normals are expected within {sigma:.1f}° of the true ones"))
     if len(names) > 1:
         shares = [f"{name} {100 * part['share']:.0f} %" for name, part in zip(names, normals["finishes"], strict=True)]
-        good.append(f"{len(names)} finishes were found and fitted apart ({', '.join(shares)})")
+        measured.append((0, 1, f"{len(names)} finishes were found and fitted apart ({', '.join(shares)})"))
     missing = 1 - normals["valid_pixels"] / max(normals["object_pixels"], 1)
     if missing > SLIGHT:
-        doubtful.append(f"{100 * missing:.0f} % of the object has no estimate")
+        measured.append((missing, SLIGHT, f"{100 * missing:.0f} % of the object has no estimate"))
     lamps = len(frames.lights)
-    advice = [
-        (
-            not frames.white_board,
-            "no white board: colours and brightness are relative",
-            "photograph an even white or grey card in place of the object, once under every lamp (--white)",
-        ),
-        (
-            lamps < FEW_LAMPS,
-            f"{lamps} lamps are few: gloss and shadows are hard to tell apart",
-            "photograph under twelve lamps or more, all round and at two elevations",
-        ),
-        (guessed, "colours of the camera are a guess", "photograph a colour target and run ./nishiki calibrate target"),
-        (
-            not frames.pixel_pitch_mm,
-            "no scale: heights and lengths are in pixels",
-            "measure the width of the photographs on the object (--width-mm)",
-        ),
-    ]
-    return headline(good, doubtful, advice)
+    board = "photograph an even white or grey card in place of the object, once under every lamp (--white)"
+    more = "photograph under twelve lamps or more, all round and at two elevations"
+    target = "photograph a colour target and run ./nishiki calibrate target"
+    width = "measure the width of the photographs on the object (--width-mm)"
+    return headline(measured, [
+        (not frames.white_board, "no white board: colours and brightness are relative", board),
+        (lamps < FEW_LAMPS, f"{lamps} lamps are few: gloss and shadows are hard to tell apart", more),
+        (guessed, "colours of the camera are a guess", target),
+        (not frames.pixel_pitch_mm, "no scale: heights and lengths are in pixels", width),
+    ])  # fmt: skip
+
+
+SECTIONS = (
+    ("render", appearance_section),
+    ("evaluate", relighting_section),
+    ("normals", shape_section),
+    ("normals", colour_section),
+    ("brdf", gloss_section),
+    ("mosaic", mosaic_section),
+    ("ingest", photographs_section),
+    ("export", export_section),
+)
+"""Sections of the page in their order, each with the stage without which it is left out."""

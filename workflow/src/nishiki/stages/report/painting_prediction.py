@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, shrink
+from nishiki.artifacts.maps import shrink
 from nishiki.evaluate.relighting import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, SHADOW
 from nishiki.formats.stored import load_arrays
 from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
@@ -21,6 +20,7 @@ from nishiki.report.pictures import (
     scalar_picture,
 )
 from nishiki.report.svg import signed
+from nishiki.stages.report.painting_surface import PaintingData
 
 MOST_LIGHTS = 4  # on the page, the worst among them
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1
@@ -35,18 +35,10 @@ CLASS_KEY = {
 }
 
 
-def relighting_section(
-    evaluate: Artifact | None,
-    maps: Maps | None,
-    evaluation: dict[str, Any] | None,
-    widest: int,
-    finishes: Sequence[str] = (),
-) -> Section | None:
-    """Write the section on relighting; None where no light was held out of the fits.
-
-    maps : of the artifact; evaluation : its evaluation.json; finishes : their names.
-    """
-    if evaluation is None or not evaluation["lights"]:
+def relighting_section(page: PaintingData) -> Section | None:
+    """Write the section on relighting; None where no light was held out of the fits."""
+    evaluation, finishes = page.evaluation, page.names
+    if not evaluation["lights"]:
         return None
     lights, overall, how = evaluation["lights"], evaluation["overall"], evaluation["colour"]["how"]
     lamp = "as if under D65" if evaluation["colour"]["rmse_xyz"] is None else "under the lamp of the capture"
@@ -58,13 +50,13 @@ def relighting_section(
         f"channels to display colour ({how})."
     ]
     shown = [lights[k] for k in chosen(lights)]
-    previews = [load_arrays(evaluate.path(f"preview_{light['index']:03d}.npz")) for light in shown]
+    previews = [load_arrays(page.inputs["evaluate"].path(f"preview_{light['index']:03d}.npz")) for light in shown]
     differences, end = signed_differences(previews)
     for light, preview, difference in zip(shown, previews, differences, strict=True):
         aside = f"({light['role']}, {light['incidence_deg']:.0f}° from the normal of the plane)"
         blocks.append(Heading(f"Light {light['name']}", aside))
         captions = _captions(from_truth) if light is shown[0] else [""] * 5
-        blocks.append(Figures(_pictures(light, preview, maps, difference, end, widest, captions), 5))
+        blocks.append(Figures(_pictures(page, light, preview, difference, end, captions), 5))
     classes_from = (
         "the truth"
         if from_truth
@@ -93,13 +85,14 @@ def _captions(from_truth: bool) -> list[str]:
     ]
 
 
-def _pictures(light, preview, maps: Maps, difference: np.ndarray, end: float, widest: int, captions) -> list[Figure]:
+def _pictures(page: PaintingData, light, preview, difference: np.ndarray, end: float, captions) -> list[Figure]:
+    maps = page.maps["evaluate"]
     inside = np.asarray(preview["inside"])
     observed, predicted = (np.asarray(preview[name], np.float32) for name in ("observed", "predicted"))
     factor = brightening(observed[inside])
     de00, classes = f"de00_{light['index']:03d}", f"classes_{light['index']:03d}"
     shape = tuple(maps.group[de00].shape)
-    block = block_of(shape[1], widest)
+    block = block_of(shape[1], page.widest)
 
     def ranked(rows: slice) -> np.ndarray:
         """Read classes as floats, 0 (not compared) as NaN, so that a block takes its most severe one."""

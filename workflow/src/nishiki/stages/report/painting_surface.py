@@ -1,11 +1,12 @@
 """Write the sections of a painting's page on shape and colour: normals, height, spectra and their errors."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from nishiki.artifacts.maps import Maps, shrink
+from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import (
     illuminant,
     srgb_encode,
@@ -16,7 +17,8 @@ from nishiki.colour.colour import (
     xyz_to_srgb_linear,
 )
 from nishiki.colour.sampling import WAVELENGTHS_NM
-from nishiki.evaluate.camera_colour import CameraColour
+from nishiki.evaluate.camera_colour import read_camera_colour
+from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 from nishiki.report.page import Block, Figure, Figures, Heading, Section, Table
 from nishiki.report.pictures import (
@@ -30,10 +32,13 @@ from nishiki.report.pictures import (
     hexadecimal,
     hillshade,
     normal_picture,
+    ruler,
     scalar_picture,
     sea,
 )
+from nishiki.report.scene_page import SceneData
 from nishiki.report.svg import DASHES, PALETTE, SOFT, Curve, chart, figure
+from nishiki.stages.report.capture import kind_of
 
 # From harmless to grave: later ones win where a block of pixels has several.
 CLASSES = (
@@ -76,28 +81,56 @@ LIGHTS = (
 )
 
 
-@dataclass(frozen=True)
-class PageMaps:
-    """Input of the sections on shape and colour.
+GLOSSY_DEG, SATIN_DEG = 6.0, 13.0
+"""Largest half widths of the facets of a finish named glossy, and satin."""
 
-    maps : of the stages that left some, by their names; mask : (rows, columns) bool, the object; pitch : of a pixel,
-    mm; evaluation : evaluation.json, empty without one; widest : columns of a picture; ruler : below pictures.
+
+def finish_names(finishes: list[dict[str, Any]]) -> list[str]:
+    """Name every finish of the diagnostics of `normals` by its gloss, alike ones with a number."""
+    names = []
+    for finish in finishes:
+        beta, gamma = (np.array(finish.get(name) or [0.0]) for name in ("gloss_beta", "gloss_gamma_deg"))
+        phi = np.linspace(0, 90, 1801)
+        profile = np.exp2(-((phi[:, None] / np.maximum(gamma, 1e-9)) ** 2)) @ beta
+        half = float(phi[profile >= 0.5 * profile[0]].max())
+        shiny = "glossy" if half < GLOSSY_DEG else "satin" if half < SATIN_DEG else "sheen"
+        name = shiny if beta.any() and finish.get("gloss_counts", True) else "matt"
+        if finish["joint"] and "gloss_colour" in finish:
+            colour = finish["gloss_colour"]
+            name = "gilding" if len(colour) == 3 and colour[0] >= colour[1] > colour[2] else "metal"
+        names.append(name)
+    return [f"{name} {names[: k + 1].count(name)}" if names.count(name) > 1 else name for k, name in enumerate(names)]
+
+
+class PaintingData(SceneData):
+    """Input of the sections of a painting's page, beside that of any page.
+
+    frames : observations; kinds : of the lights; maps : of the stages that left some, by their names; mask : (rows,
+    columns) bool, the object; pitch : of a pixel, mm; ruler : below pictures; camera : map of the channels to XYZ;
+    finishes : of the normals' diagnostics, and their names.
     """
 
-    maps: dict[str, Maps]
-    mask: np.ndarray
-    pitch: float | None
-    evaluation: dict[str, Any]
-    widest: int
-    ruler: Ruler | None
+    def __init__(self, context: Context):
+        super().__init__(context)
+        ingest, normals = self.inputs["ingest"], self.inputs["normals"]
+        frames = self.frames = Observations(ingest.folder)
+        held_out = normals.settings.get("hold_out", [])
+        self.kinds = [kind_of(name, role, held_out) for name, role in zip(frames.lights, frames.roles, strict=True)]
+        self.maps = {name: Maps(each.folder) for name, each in self.inputs.items() if each.path("maps.zarr").is_dir()}
+        self.mask, self.pitch = frames.mask, frames.pixel_pitch_mm
+        self.ruler = ruler(frames.shape[1], self.pitch)
+        self.camera = read_camera_colour(ingest.path("curves.npz"), len(frames.channels), frames.to_srgb)
+        self.finishes = normals.diagnostics.get("finishes") or []
+        self.names = finish_names(self.finishes)
 
     def known(self, rows: slice) -> np.ndarray:
         """Return the pixels of the object that have an estimate, (r, columns) bool."""
         return self.mask[rows] & ((self.maps["normals"].read("flags", rows) & NO_ESTIMATE) == 0)
 
 
-def shape_section(page: PageMaps, diagnostics: dict[str, Any]) -> Section:
-    """Return normals, height and their errors; diagnostics of the stage `normals`."""
+def shape_section(page: PaintingData) -> Section:
+    """Return normals, height and their errors."""
+    diagnostics = page.diagnostics["normals"]
     normals, height, evaluated = (page.maps.get(name) for name in ("normals", "height", "evaluate"))
     shape = tuple(normals.group["normals"].shape[:2])
     block = block_of(shape[1], page.widest)
@@ -163,7 +196,7 @@ def _against_truth(evaluation: dict[str, Any]) -> list[Block]:
     return blocks
 
 
-def _flags(page: PageMaps, shape: tuple[int, int], block: int) -> np.ndarray:
+def _flags(page: PaintingData, shape: tuple[int, int], block: int) -> np.ndarray:
     """Return the most severe class of each block of pixels; NaN outside the mask."""
     classes = shrink(lambda rows: _classes(page.maps["normals"].read("flags", rows)), shape, block, "largest")
     inside = shrink(lambda rows: page.mask[rows].astype(np.float32), shape, block) > 0
@@ -178,8 +211,8 @@ def _classes(flags: np.ndarray) -> np.ndarray:
     return classes
 
 
-def _height(page: PageMaps, shape: tuple[int, int], block: int, known: np.ndarray) -> list[Figure]:
-    height, ruler = page.maps["height"], page.ruler
+def _height(page: PaintingData, shape: tuple[int, int], block: int, known: np.ndarray) -> list[Figure]:
+    height = page.maps["height"]
     unit = height.attributes("height").get("unit", "")
     values = shrink(lambda rows: height.read("height", rows), shape, block).astype(np.float64)
     values[~known] = np.nan
@@ -187,8 +220,8 @@ def _height(page: PageMaps, shape: tuple[int, int], block: int, known: np.ndarra
     flat = values - np.nanmin(values) if np.isfinite(values).any() else values
     relief = np.repeat(hillshade(values, step=step)[..., None], 3, axis=-1)
     return [
-        Figure("Relief", RELIEF, colour_picture(relief), ruler=ruler),
-        Figure("Height", HEIGHT, scalar_picture(flat, sea(), unit=unit, low=0.0), ruler=ruler),
+        Figure("Relief", RELIEF, colour_picture(relief), ruler=page.ruler),
+        Figure("Height", HEIGHT, scalar_picture(flat, sea(), unit=unit, low=0.0), ruler=page.ruler),
     ]
 
 
@@ -206,13 +239,10 @@ VARNISH = (
 )
 
 
-def colour_section(page: PageMaps, *, camera: CameraColour, expected_de00: dict[str, float]) -> Section:
-    """Return diffuse reflectance, spectra where there are some, and their errors.
-
-    camera : map of the channels to XYZ, used where there are no spectra; expected_de00 : diagnostic of the spectra.
-    """
+def colour_section(page: PaintingData) -> Section:
+    """Return diffuse reflectance, spectra where there are some, and their errors."""
     normals, spectra, evaluated = (page.maps.get(name) for name in ("normals", "spectra", "evaluate"))
-    shape, ruler = tuple(normals.group["reflectance"].shape[:2]), page.ruler
+    shape = tuple(normals.group["reflectance"].shape[:2])
     block = block_of(shape[1], page.widest)
 
     def masked(maps: Maps, name: str, rows: slice) -> np.ndarray:
@@ -223,7 +253,9 @@ def colour_section(page: PageMaps, *, camera: CameraColour, expected_de00: dict[
     maps, name = (normals, "reflectance") if spectra is None else (spectra, "coefficients")
     small = shrink(lambda rows: masked(maps, name, rows), shape, block)
     if spectra is None:
-        figure = _diffuse(xyz_to_srgb_linear(camera.xyz(small), white=camera.white), camera.how, (), ruler)
+        figure = _diffuse(
+            xyz_to_srgb_linear(page.camera.xyz(small), white=page.camera.white), page.camera.how, (), page.ruler
+        )
         return Section("colour", "Colour", [Figures([figure])])
     basis = np.array(spectra.attributes("coefficients")["basis"])
     xyz = small @ xyz_matrix(illuminant("D65"), basis).T
@@ -231,7 +263,7 @@ def colour_section(page: PageMaps, *, camera: CameraColour, expected_de00: dict[
     profile = np.array(spectra.attributes("sigma")["profile"])
     truth = page.evaluation.get("reflectance") or {}
     curves, marks = _of_places(small, xyz, basis, sigma[..., None] * profile, block)
-    items = [_diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65", marks, ruler)]
+    items = [_diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65", marks, page.ruler)]
     if evaluated is not None and "reflectance_de00" in evaluated:
         difference = shrink(lambda rows: evaluated.read("reflectance_de00", rows), shape, block)
         picture = scalar_picture(difference, heat(), unit="ΔE00 under D65", low=0.0)
@@ -241,7 +273,7 @@ def colour_section(page: PageMaps, *, camera: CameraColour, expected_de00: dict[
     blocks: list[Block] = [Figures(items)]
     if curves:
         blocks += [Heading("Spectra"), f"{PLACES} {VARNISH}", Figures(curves, 3)]
-    return Section("colour", "Colour", [*blocks, *_tables(expected_de00, truth)])
+    return Section("colour", "Colour", [*blocks, *_tables(page.value("spectra", "expected_de00") or {}, truth)])
 
 
 def _diffuse(linear: np.ndarray, how: str, marks: tuple, ruler: Ruler | None) -> Figure:
