@@ -86,10 +86,32 @@ class SceneData:
 
 
 def at(values: Any, *path: str) -> Any:
-    """Return the value at a path of names; None where any part of the path is missing."""
+    """Return the value at a path of names, of a list those of its entries; None where a part of the path is missing."""
     for name in path:
-        values = (values or {}).get(name)
+        values = [at(each, name) for each in values] if isinstance(values, list) else (values or {}).get(name)
     return values
+
+
+def fact_rows(values: Any, facts: Sequence[tuple[str, str, float]]) -> list[tuple[str, Cell]]:
+    """Return label and value of facts, without those that are missing; of several values, the mean and the range.
+
+    facts : label with the unit, path of the value with dots between its names, and factor from the value to the unit.
+    """
+    rows: list[tuple[str, Cell]] = []
+    for label, path, factor in facts:
+        value = at(values, *path.split("."))
+        several = list(value.values()) if isinstance(value, dict) else value
+        if isinstance(several, list):
+            numbers = [factor * each for each in several if each is not None]
+            mean = sum(numbers) / len(numbers) if numbers else None
+            value = numbers and f"{figure(mean)} ({figure(min(numbers))} to {figure(max(numbers))})"
+        elif isinstance(value, bool):
+            value = text(value)
+        elif isinstance(value, float) or factor != 1:
+            value = value and round(factor * value, 9)
+        if value or value == 0:
+            rows.append((label, value))
+    return rows
 
 
 def write_scene_page(

@@ -281,20 +281,28 @@ def _range(arrays: list[np.ndarray], *, zero: bool = False) -> tuple[float, floa
     return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
-def lights_plot(directions: np.ndarray, names: list[str], kinds: list[str], *, size: int = 340) -> str:
+def lights_plot(
+    directions: np.ndarray,
+    names: list[str],
+    kinds: list[str],
+    *,
+    size: int = 340,
+    title: str = "directions of the lights, seen from the camera",
+    sides: Sequence[str] = ("top", "right", "bottom", "left"),
+) -> str:
     """Draw light directions (lights, 3) from the camera: distance from the middle grows evenly with incidence.
 
     The rim is 90 degrees. kinds: sample | check | held out. Names are drawn up to 16 lights.
     """
     middle, radius = size / 2, size / 2 - 30
-    drawing = Drawing(size, size, "directions of the lights, seen from the camera")
+    drawing = Drawing(size, size, title)
     for degrees in (30, 60, 90):
         drawing.circle(middle, middle, radius * degrees / 90, stroke=GRID)
         aside = 0.7071 * radius * degrees / 90
         drawing.text(middle - aside - 3, middle + aside + 10, f"{degrees}°", anchor="end", size=10, colour=SOFT)
     drawing.line(middle - radius, middle, middle + radius, middle, GRID)
     drawing.line(middle, middle - radius, middle, middle + radius, GRID)
-    for text, dx, dy in (("top", 0, -1), ("right", 1, 0), ("bottom", 0, 1), ("left", -1, 0)):
+    for text, dx, dy in zip(sides, (0, 1, 0, -1), (-1, 0, 1, 0), strict=False):
         x, y = middle + dx * (radius + 14), middle + dy * (radius + 14) + 4
         drawing.text(x, y, text, anchor="middle", colour=SOFT)
     for direction, name, kind in zip(np.asarray(directions, float), names, kinds, strict=True):

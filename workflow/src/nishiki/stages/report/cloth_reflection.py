@@ -10,12 +10,14 @@ from nishiki.render.cloth.models import ClothModels
 from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
 from nishiki.report.pictures import PagePicture, Scale, coloured, encoded, heat, hexadecimal
 from nishiki.report.scene_page import SceneData
-from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Curve, Drawing, chart, figure, outline
+from nishiki.report.svg import INK, PALETTE, Curve, chart, figure
 
 INCIDENCES_DEG = (0, 30, 60)
 AZIMUTHS = {"warp": np.pi / 2, "weft": 0.0}
 STEEPEST_DEG = 80
 """Steepest view of the drawn lobes: at grazing views a cloth can outshine all others."""
+VIEW, BRDF = "view, degrees from the normal; the light is on the right", "BRDF, 1/sr"
+"""Labels of the axes of charts in the plane of the light."""
 DISC = 168
 """Side of a view disc in pixels."""
 MODEL_NAMES = {
@@ -57,14 +59,14 @@ def reflection_section(data: SceneData) -> Section:
     every = np.concatenate(list(discs.values()))
     high = float(np.percentile(every, 99.7)) or 1.0
     low = max(float(np.percentile(every, 2)), high / 3000, 1e-9)
-    caption = "Lobes of the BRDF for light from the right; distance from the foot is the square root of the value."
+    caption = "Lobes of the BRDF for light from the right."
     blocks: list[Block] = [
         "All views of the hemisphere, seen from above: the weft runs to the right, the warp upwards, distance from the "
         f"middle grows evenly with the angle from the normal. Model: {model_name(models.default)}.",
         Figures([Figure(name, "", disc_picture(part, inside, low, high)) for name, part in discs.items()], 3),
         Figures([
-            Figure(f"Plane of the {plane}", caption, svg=lobes_plot(lobes(evaluate, azimuth)))
-            for plane, azimuth in AZIMUTHS.items()
+            Figure(f"Plane of the {plane}", caption, svg=lobes_plot(evaluate, plane))
+            for plane in AZIMUTHS
         ]),
     ]  # fmt: skip
     if models_of_region := data.value("cloth_brdf", "regions", region):
@@ -72,15 +74,15 @@ def reflection_section(data: SceneData) -> Section:
     return Section("lobes", "Reflection", blocks)
 
 
-Lobe = tuple[str, np.ndarray, np.ndarray]
-"""Label, angles from the normal in radians, values."""
-
-
-def lobes(evaluate: Callable[[float, float, np.ndarray], np.ndarray], azimuth: float) -> list[Lobe]:
-    """Compute lobes in the plane of the light at this azimuth. evaluate(degrees, azimuth, directions): the BRDF."""
-    angle = np.radians(np.arange(-STEEPEST_DEG, STEEPEST_DEG + 1))
-    along = np.stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), np.cos(angle)], axis=1)
-    return [(f"light at {degrees}°", angle, evaluate(degrees, azimuth, along)) for degrees in INCIDENCES_DEG]
+def lobes_plot(evaluate: Callable[[float, float, np.ndarray], np.ndarray], plane: str) -> str:
+    """Draw lobes in the plane of the light. evaluate(degrees, azimuth, directions): the BRDF."""
+    angle, azimuth = np.arange(-STEEPEST_DEG, STEEPEST_DEG + 1), AZIMUTHS[plane]
+    along = np.concatenate([light(float(degrees), azimuth)[None] for degrees in angle])
+    curves = [
+        Curve(f"light at {degrees}°", angle, evaluate(degrees, azimuth, along), PALETTE[k])
+        for k, degrees in enumerate(INCIDENCES_DEG)
+    ]
+    return chart(curves, x_label=VIEW, y_label=BRDF, title=f"lobes of the BRDF in the plane of the {plane}")
 
 
 def light(degrees: float, azimuth: float) -> np.ndarray:
@@ -131,34 +133,6 @@ def disc_picture(values: np.ndarray, inside: np.ndarray, low: float, high: float
     picture[inside] = coloured(logs[None], table, np.log10(low), np.log10(high))[0]
     stops = tuple(hexadecimal(colour) for colour in table[:: 255 // 5])
     return encoded(picture, lossless=True, scale=Scale(f"{low:.2g}", f"{high:.2g}", "1/sr, logarithmic", stops))
-
-
-def lobes_plot(parts: list[Lobe], *, width: int = 520, height: int = 330) -> str:
-    """Draw lobes in a half-plane polar diagram; one scale for all.
-
-    The distance from the foot is the square root of the value, so that weak lobes beside strong ones still show.
-    """
-    middle, foot, radius = width / 2, height - 42, min(width / 2 - 24, height - 70)
-    top = max([float(values.max(initial=0)) for _, _, values in parts] or [0.0])
-    drawing = Drawing(width, height, "lobes of the BRDF in the plane of the light")
-    for r in radius * np.array([0.25, 0.5, 0.75, 1.0]):
-        arc = f"M{middle - r:.1f} {foot:.1f}A{r:.1f} {r:.1f} 0 0 1 {middle + r:.1f} {foot:.1f}"
-        drawing.path(arc, stroke=GRID)
-    for degrees in (-60, -30, 0, 30, 60):
-        x, y = radius * np.sin(np.radians(degrees)), radius * np.cos(np.radians(degrees))
-        drawing.line(middle, foot, middle + x, foot - y, GRID)
-        text = f"{abs(degrees)}°"
-        drawing.text(middle + 1.06 * x, foot - 1.06 * y, text, anchor="middle", size=11, colour=SOFT)
-    drawing.line(middle - radius, foot, middle + radius, foot, SOFT)
-    for k, (label, angle, values) in enumerate(parts):
-        r = radius * np.sqrt(np.maximum(values, 0) / top) if top > 0 else 0 * values
-        colour = PALETTE[k % len(PALETTE)]
-        line = outline(middle + r * np.sin(angle), foot - r * np.cos(angle))
-        drawing.path(line, fill=colour, opacity=0.1, stroke=colour, width=1.8)
-        at = 12 + k * (width - 24) / max(1, len(parts))
-        drawing.line(at, height - 10, at + 18, height - 10, colour)
-        drawing.text(at + 23, height - 6, label, size=11)
-    return drawing.finish()
 
 
 INTRODUCTION = (
@@ -290,6 +264,6 @@ def plane_chart(curve: dict, models: list[str], default: str) -> str:
     highest = max(float(np.nanmax(line.y, initial=0.0)) for line in [dots, *lines])
     top = max(1.05 * min(highest, 1.6 * float(measured.max())), 1e-6)  # a model may leave the drawing
     return chart(
-        [dots, *lines], x_label="view, degrees from the normal; the light is on the right", y_label="BRDF, 1/sr",
+        [dots, *lines], x_label=VIEW, y_label=BRDF,
         title="measured and predicted in the plane of the light", x_range=(-90, 90), y_range=(0, top), size=(560, 260),
     )  # fmt: skip

@@ -5,26 +5,38 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.stage import Context
+from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.quality import atlas_picture
+from nishiki.atlas.store import ATLAS
+from nishiki.brdf.texels.parameters import ParameterMaps, TexelFlag
 from nishiki.formats.stored import load_arrays
 from nishiki.geometry.camera import load_cameras
 from nishiki.report.page import (
     MOST_PICTURES,
     Block,
     Cell,
-    Facts,
     Figure,
     Figures,
+    Fold,
     Heading,
     Metric,
     Section,
     Table,
     film_and_notes,
 )
-from nishiki.report.pictures import bright_picture, encoded, file_picture
-from nishiki.report.scene_page import SLIGHT, Head, SceneData, at, headline, write_scene_page
-from nishiki.report.svg import GRID, PALETTE, SOFT, Drawing, figure, percent
+from nishiki.report.pictures import (
+    bright_picture,
+    brightened,
+    brightening,
+    colour_picture,
+    encoded,
+    file_picture,
+    scalar_picture,
+    sea,
+)
+from nishiki.report.scene_page import SLIGHT, Head, SceneData, at, fact_rows, headline, write_scene_page
+from nishiki.report.svg import bars, figure, lights_plot
 from nishiki.stages.report.capture import export_section, facts_of_object
-from nishiki.stages.report.object_reflection import model_section, residual_section
 from nishiki.stages.table import chain_of
 
 
@@ -194,6 +206,18 @@ def views_section(data: SceneData) -> Section:
     ])  # fmt: skip
 
 
+SEPARATION = (
+    ("diffuse part, mean of the views", "by_view.diffuse", 1),
+    ("specular part, mean of the views", "by_view.specular", 1),
+    ("specular values below 0 by the formulas alone, which is noise, %", "by_view.negative", 100),
+    ("of these further below 0 than three standard deviations of their noise, %", "by_view.doubtful", 100),
+    ("change of the specular part by smoothing, rms", "by_view.changed.specular", 1),
+    ("change of the diffuse part by smoothing, rms", "by_view.changed.diffuse", 1),
+    ("value of 1 in these figures", "unit", 1),
+)
+"""Facts on the separation by the states of the polarisers, as of `fact_rows`."""
+
+
 def separation_section(data: SceneData) -> Section:
     """Write the results of polarisation separation, with the first pictures that the stage drew."""
     polarise = data.inputs["polarise"]
@@ -206,43 +230,17 @@ def separation_section(data: SceneData) -> Section:
         )
         for file, view in shown
     ]
-    return Section("separation", "Separation", [*sentences(polarise.diagnostics), Figures(items)])
+    return Section("separation", "Separation", [Table((), separation(polarise.diagnostics), "wr"), Figures(items)])
 
 
-def sentences(diagnostics: dict[str, Any]) -> list[str]:
-    """Return mean share of each component, of negative and of doubtful pixels; the white boards."""
-    views = diagnostics.get("by_view") or []
-
-    def mean(name: str) -> float | None:
-        values = [view[name] for view in views if view.get(name) is not None]
-        return float(np.mean(values)) if values else None
-
-    negative, doubtful = (None if mean(name) is None else 100 * mean(name) for name in ("negative", "doubtful"))
-    unit = {"white board": "1 is a white board", "full scale": "1 is the full scale of the camera"}
-    texts = [
-        "Diffuse and specular parts by the state of the polarisers. On average over the object's frames: diffuse "
-        f"{figure(mean('diffuse'))}, specular {figure(mean('specular'))} ({unit[diagnostics['unit']]}). By the "
-        f"formulas alone {percent(negative)} of the specular values are negative, which is noise, and "
-        f"{percent(doubtful)} lie further below 0 than three standard deviations of their noise."
+def separation(diagnostics: dict[str, Any]) -> list[tuple[str, Cell]]:
+    """List label and value of facts on the separation, and β of the white boards by channel."""
+    boards = (diagnostics.get("boards") or {}).items()
+    return fact_rows(diagnostics, SEPARATION) + [
+        (f"white board under {light or 'lamp'}: β by channel", ", ".join(map(figure, board["channel"])))
+        for light, board in boards
+        if board and board.get("channel")
     ]
-    changed = [view["changed"] for view in views if (view.get("changed") or {}).get("specular") is not None]
-    if changed:
-        diffuse, specular = (
-            figure(float(np.mean([each[name] for each in changed]))) for name in ("diffuse", "specular")
-        )
-        texts.append(
-            "Smoothing by the noise that was measured in the photographs changed the specular part by "
-            f"{specular} and the diffuse part by {diffuse} (root mean squares)."
-        )
-    for light, board in (diagnostics.get("boards") or {}).items():
-        if board and board.get("channel"):
-            values = ", ".join(figure(value) for value in board["channel"])
-            texts.append(f"White board under {light or 'lamp'}: β = {values} by channel.")
-    return texts
-
-
-MOST_MARKED, MOST_NAMED = 40, 12
-"""Largest number of cameras with names, and approximate number of names drawn."""
 
 
 def cameras_section(data: SceneData) -> Section:
@@ -253,85 +251,50 @@ def cameras_section(data: SceneData) -> Section:
     circle = diagnostics.get("circle") or {}
     centres = np.array([camera.centre for camera in views])
     drawing = turn_plot(centres, [camera.name for camera in views], held_out, circle.get("axis"), circle.get("centre"))
-    caption = "Dots: views; open diamonds: views left out. The object's own frame: the camera goes round."
+    caption = (
+        "Dots: views; open diamonds: views left out; rings: 30°, 60° and 90° from the axis. In the object's own frame, "
+        "the camera goes round."
+    )
     return Section("cameras", "Cameras", [
         Figures([Figure("The turn, seen along its axis", caption, svg=drawing)]),
-        Facts(facts(diagnostics, circle)),
+        Table((), fact_rows(diagnostics, CAMERAS), "wr"),
     ])  # fmt: skip
 
 
-def facts(diagnostics: dict[str, Any], circle: dict[str, Any]) -> list[tuple[str, str]]:
-    """List label and text of facts on the cameras. diagnostics : of the stage; circle : a part of them."""
-    errors = [value for value in (diagnostics.get("reprojection_px") or {}).values() if value is not None]
-    error, estimate = "not known: the matrices were given", diagnostics.get("estimate")
-    if errors:
-        error = f"{figure(float(np.mean(errors)))} pixels on average, {figure(max(errors))} at worst"
-    if estimate:
-        error = f"{figure(estimate['left_out_px'])} pixels, between views that the fit did not compare"
-    off_plane = None if circle.get("off_plane") is None else 100 * round(circle["off_plane"], 9)
-    steps = circle.get("steps_deg") or []
-    return [
-        ("From", diagnostics.get("source") or "–"),
-        ("Radius", figure(circle.get("radius"), 3, diagnostics.get("unit") or "")),
-        ("Off its plane", f"{percent(off_plane)} of the radius at most"),
-        ("Steps", f"{figure(min(steps, default=None), 4)}° to {figure(max(steps, default=None), 4)}°"),
-        ("Reprojection error", error),
-        *(estimate_facts(estimate, diagnostics.get("unit") or "") if estimate else ()),
-    ]
-
-
-def estimate_facts(estimate: dict[str, Any], unit: str) -> list[tuple[str, str]]:
-    """List label and text of the uncertainty of cameras estimated from the photographs."""
-    steps = "equal, as the left-out views prefer"
-    if estimate["steps"] == "free":
-        steps = f"not equal; each angle to {figure(estimate['angle_sd_deg'])}°"
-    return [
-        ("Focal length", f"{figure(estimate['focal_px'])} ± {figure(estimate['focal_sd_px'])} pixels, estimated"),
-        ("Camera looks down by", f"{figure(estimate['tilt_deg'])}° ± {figure(estimate['tilt_sd_deg'])}°"),
-        ("Steps of the turn", steps),
-        ("Sense of the turn", f"the other sense fits worse, at {figure(estimate['mirror_ratio'])} times the cost"),
-        ("Compared", f"outlines of all views, {estimate['matches']} features that two views share"),
-        ("Scale", "arbitrary: no height was stated" if unit == "arbitrary" else "from the stated height"),
-    ]
+CAMERAS = (
+    ("from", "source", 1),
+    ("unit of length", "unit", 1),
+    ("radius of the turn", "circle.radius", 1),
+    ("largest distance off its plane, % of the radius", "circle.off_plane", 100),
+    ("steps of the turn, degrees", "circle.steps_deg", 1),
+    ("reprojection error of a view, pixels", "reprojection_px", 1),
+    ("error between views that the fit did not compare, pixels", "estimate.left_out_px", 1),
+    ("focal length, estimated, pixels", "estimate.focal_px", 1),
+    ("its standard deviation, pixels", "estimate.focal_sd_px", 1),
+    ("camera looks down by, estimated, degrees", "estimate.tilt_deg", 1),
+    ("its standard deviation, degrees", "estimate.tilt_sd_deg", 1),
+    ("steps, as the left-out views prefer", "estimate.steps", 1),
+    ("standard deviation of each step, degrees", "estimate.angle_sd_deg", 1),
+    ("cost of the mirrored turn over that of this one", "estimate.mirror_ratio", 1),
+    ("features that two views share, compared beside all outlines", "estimate.matches", 1),
+)
+"""Facts on the cameras, as of `fact_rows`."""
 
 
 def turn_plot(centres: np.ndarray, names: list[str], held_out: set[str], axis=None, centre=None) -> str:
-    """Draw cameras (views, 3) along the axis of the turn; held-out views are open diamonds.
+    """Draw the directions of cameras (views, 3) as lights are drawn, about the axis of the turn.
 
     axis, centre: of the circle; where they are not known, of the plane that fits the cameras best.
     """
-    centres = np.asarray(centres, float).reshape(-1, 3)
-    middle = np.asarray(centre, float) if centre is not None else centres.mean(axis=0)
-    if axis is None:
-        axis = np.linalg.svd(centres - middle)[2][2] if len(centres) > 2 else np.array([0.0, 1.0, 0.0])
-    right, ahead = _across(np.asarray(axis, float))
-    flat = np.stack([(centres - middle) @ right, (middle - centres) @ ahead], axis=1)
-    reach = max(float(np.abs(flat).max(initial=0)), 1e-12)
-    half = 170
-    places = flat * (half - 34) / reach
-    drawing = Drawing(2 * half, 2 * half, "places of the cameras seen along the axis of the turn")
-    radius = float(np.median(np.linalg.norm(places, axis=1))) if len(places) else 0.0
-    drawing.circle(half, half, radius, stroke=GRID)
-    drawing.path(f"M{half - 5} {half}h10M{half} {half - 5}v10", stroke=SOFT)
-    for (x, y), name in zip(places, names, strict=True):
-        if name in held_out:
-            drawing.diamond(half + x, half + y, 6, fill="#fff", stroke=PALETTE[1], width=2, tip=f"{name} (left out)")
-        else:
-            drawing.circle(half + x, half + y, 4, fill=PALETTE[0], tip=name)
-    if len(names) <= MOST_MARKED:
-        for (x, y), name in list(zip(places, names, strict=True))[:: max(1, len(names) // MOST_NAMED)]:
-            out = 1 + 15 / max(float(np.hypot(x, y)), 1e-9)
-            drawing.text(half + x * out, half + y * out + 4, name, anchor="middle", size=10)
-    return drawing.finish()
-
-
-def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors across an axis."""
-    axis = axis / np.linalg.norm(axis)
-    helper = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    right = np.cross(helper, axis)
-    right /= np.linalg.norm(right)
-    return right, np.cross(axis, right)
+    outwards = np.reshape(centres, (-1, 3)) - (np.mean(centres, axis=0) if centre is None else centre)
+    frame = np.linalg.svd(outwards if axis is None else np.reshape(axis, (1, 3)))[2]
+    frame = frame if axis is None else frame[[1, 2, 0]]
+    directions = outwards @ (frame * np.linalg.det(frame)).T
+    directions[:, 1:] *= 1 if directions[:, 2].sum() >= 0 else -1  # seen from the side of the cameras
+    kinds = ["held out" if name in held_out else "sample" for name in names]
+    return lights_plot(
+        directions, names, kinds, title="directions of the cameras, about the axis of the turn", sides=()
+    )
 
 
 def geometry_section(data: SceneData) -> Section:
@@ -339,28 +302,144 @@ def geometry_section(data: SceneData) -> Section:
     mesh = data.inputs["mesh"]
     preview = file_picture(mesh.path("preview.png").read_bytes(), data.widest)
     figure = Figure("The surface", "as the stage mesh drew it.", preview)
-    return Section("geometry", "Geometry", [Table((), rows(mesh.diagnostics), "lr"), Figures([figure])])
+    cleaned = [name for name, count in (mesh.diagnostics.get("cleaned") or {}).items() if count]
+    mended = [(f"removed or mended: {name.replace('_', ' ')}", f"cleaned.{name}", 1) for name in cleaned]
+    rows = fact_rows(mesh.diagnostics, [*SURFACE, *mended])
+    return Section("geometry", "Geometry", [Table((), rows, "lr"), Figures([figure])])
 
 
-SURFACE = {
-    "triangles before decimation": ("decimation", "triangles_before"),
-    "deviation by decimation, pixels": ("decimation", "deviation_px"),
-    "silhouettes covered (IoU), mean": ("fit", "iou_mean"),
-    "silhouettes covered (IoU), least": ("fit", "iou_least"),
-    "of views left out (IoU), mean": ("fit", "iou_held_out"),
+SURFACE = (
+    *((name, name, 1) for name in ("source", "unit", "vertices", "triangles", "watertight", "parts")),
+    ("holes through the body (genus)", "genus", 1),
+    ("triangles before decimation", "decimation.triangles_before", 1),
+    ("deviation by decimation, pixels", "decimation.deviation_px", 1),
+    ("silhouettes covered (IoU), mean", "fit.iou_mean", 1),
+    ("silhouettes covered (IoU), least", "fit.iou_least", 1),
+    ("of views left out (IoU), mean", "fit.iou_held_out", 1),
+)
+"""Facts on the surface, as of `fact_rows`."""
+
+
+LIGHTING = {
+    "camera": "a lamp at the camera",
+    "direction": "lamps of known direction",
+    "position": "lamps at known places",
+    "environment": "not stated; an irradiance over the normal was fitted",
 }
-"""Labels of the mesh's diagnostics, by their paths."""
 
 
-def rows(mesh: dict[str, Any]) -> list[tuple[str, Cell]]:
-    """List label and value of facts on the surface; mesh : diagnostics of the stage."""
-    values: list[tuple[str, Cell]] = [(name, mesh.get(name)) for name in ("source", "unit", "vertices", "triangles")]
-    values.append(("watertight", {True: "yes", False: "no"}.get(mesh.get("watertight"))))
-    values += [("parts", mesh.get("parts")), ("holes through the body (genus)", mesh.get("genus"))]
-    for name, count in (mesh.get("cleaned") or {}).items():
-        values.append((f"removed or mended: {name.replace('_', ' ')}", count or None))
-    values += [(label, at(mesh, *path)) for label, path in SURFACE.items()]
-    return [(name, value) for name, value in values if value is not None]
+MODEL = (
+    ("texels", "texels", 1),
+    ("visible samples", "samples", 1),
+    ("model alone over these, dB", "psnr_db", 1),
+    ("texels where a highlight was observed, %", "highlight_share", 100),
+    ("median width of a highlight, degrees", "median_sigma", 180 / np.pi),
+    ("texels whose strength of the highlight is that of neighbours, %", "filled_share", 100),
+    ("texels that no view shows, with everything of neighbours, %", "unseen_share", 100),
+)
+"""Facts on the reflection model, as of `fact_rows`."""
+
+
+def model_section(data: SceneData) -> Section:
+    """Write parameter maps as sheets of all charts, and the fit's diagnostics."""
+    object_brdf = data.inputs["object_brdf"]
+    maps, diagnostics = ParameterMaps(object_brdf.folder), object_brdf.diagnostics
+
+    def read(tile: int) -> np.ndarray:
+        part = maps.read(tile)
+        joined = np.concatenate([part.kd, part.ks, part.sigma[..., None]], axis=-1)
+        return np.where((part.flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN))[..., None] == 0, joined, np.nan)
+
+    lighting = LIGHTING.get(diagnostics["lighting"], diagnostics["lighting"])
+    if aside := diagnostics.get("beside_camera_deg"):
+        lighting = f"stated at the camera, found {', '.join(map(figure, aside))}° beside it"
+    intro = (
+        "At every texel: diffuse reflection by Lambert's law, and a highlight by the simplified Torrance-Sparrow "
+        "model. The sheets show the charts of the surface beside each other."
+    )
+    parameters = np.stack([read(tile) for tile in range(maps.tiles)])
+    figures = parameter_figures(
+        atlas_picture(Atlas.load(data.inputs["texels"].path(ATLAS)), parameters, width=data.widest)
+    )
+    if len(figures) == 1:
+        intro += " No texel has a highlight in this fit, so that there are no sheets of its strength and width."
+    return Section(
+        "model",
+        "Reflection",
+        [intro, Figures(figures, 3), Table((), [("lighting", lighting), *fact_rows(diagnostics, MODEL)], "lr")],
+    )
+
+
+def parameter_figures(parameters: np.ndarray) -> list[Figure]:
+    """Draw K_d, and K_s and sigma where there is any gloss; parameters: sheet (rows, columns, 2 channels + 1)."""
+    channels = (parameters.shape[-1] - 1) // 2
+    kd, ks = three(parameters[..., :channels]), three(parameters[..., channels : 2 * channels])
+    glossy = bool((ks > 0).any())
+    figures = []
+    for name, values, caption in (
+        ("Diffuse reflection", kd, "K_d of every texel: the colour of the surface without its gloss."),
+        ("Specular reflection", ks, "K_s of every texel, from its own highlights or its neighbours'."),
+    )[: 1 + glossy]:
+        gain = brightening(values)
+        figures.append(Figure(name, caption + brightened(gain), colour_picture(values * gain)))
+    if glossy:
+        width = scalar_picture(np.degrees(parameters[..., -1]), sea(), unit="degrees")
+        figures.append(Figure("Width of the highlight", "sigma of every texel: the larger, the duller.", width))
+    return figures
+
+
+def three(values: np.ndarray) -> np.ndarray:
+    """Select three channels for display: the given ones, one repeated, or the longest, middle and shortest of many."""
+    channels = values.shape[-1]
+    return values if channels == 3 else values[..., [channels - 1, channels // 2, 0]]
+
+
+PART_NAMES = {
+    "parameters": "reflection parameters",
+    "pictures": "captured views as pictures",
+    "start_states": "entropy coder's start",
+    "index": "index of the tiles",
+}
+"""Names in words of parts of the residual's file, where they are not those of the code."""
+SUMS = ("total", "residual_total")
+
+
+RESIDUAL = (
+    ("model and residual, over the pixels that the texels were solved for, dB", "psnr_db", 1),
+    ("model alone, dB", "model_psnr_db", 1),
+    ("captured views stored as pictures, kB", "pictures.bytes", 1e-3),
+    ("texels of as many bytes, dB", "pictures.equal_bytes_psnr_db", 1),
+    ("tiles", "tiles", 1),
+    ("tiles that need no residual", "empty_tiles", 1),
+    ("coefficients kept", "kept", 1),
+    ("of the visible samples, %", "kept_of_visible", 100),
+    ("of all samples, %", "kept_of_all", 100),
+    ("coded size, bits an object pixel", "bits_per_pixel", 1),
+    ("all that a renderer needs, bytes", "renderer_bytes.total", 1),
+)
+"""Facts on the residual, as of `fact_rows`."""
+
+
+def residual_section(data: SceneData) -> Section:
+    """Write the section on what the model does not explain, and on its bytes."""
+    residual = data.diagnostics["residual"]
+    intro = "What the model does not explain is kept as wavelet coefficients over the surface and the views."
+    everything = residual["renderer_bytes"]
+    parts = data.evaluation.get("bytes", everything)
+    short = [name if name in SUMS else name.replace("residual_", "", 1) for name in parts]
+    rows = [
+        (PART_NAMES.get(name, name.replace("_", " ")), size) for name, size in zip(short, parts.values(), strict=True)
+    ]
+    largest = sorted((-size, name) for (name, size), part in zip(rows, parts, strict=True) if part not in SUMS)
+    svg = bars([-size / 1000 for size, _ in largest], [name for _, name in largest], title="bytes by part", unit="kB")
+    drawing = Figure("Where the bytes go", "Everything that a renderer needs.", svg=svg)
+    blocks: list[Block] = [
+        intro,
+        Table((), fact_rows(residual, RESIDUAL), "lr"),
+        Figures([drawing]),
+        Fold("Bytes", "by part", [Table((), rows, "lr")]),
+    ]
+    return Section("residual", "Residual", blocks)
 
 
 SECTIONS = (
