@@ -18,7 +18,6 @@ from nishiki.capture.lights import light_name, lights_from_vectors
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.spheres.circles import locate_given, search_circles
 from nishiki.capture.spheres.lamps import (
-    LEVEL_SIGMA_DEG,
     Falloff,
     LampFit,
     Sighting,
@@ -318,6 +317,7 @@ def _fit_warnings(fit: LampFit, names: list[str], near: bool, given: SphereInput
 MASK = "mask.png"
 MOST_SIGMA_DEG = 10.0  # median uncertainty of the directions up to which lamps are believed
 MOST_TILT_DEG = 35.0  # of the scene under the lamps; near lamps tilt it, too
+MOST_LEVEL_DEG = 2.5  # tilt of a level scene: .2 to 1.3 under sound balls, 3 to 6 where normals were off by 3 to 5
 LEAST_Z = 0.02  # of a direction: lamps below graze the object
 
 
@@ -400,7 +400,7 @@ def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: in
             remedy=f"Look at {MIRROR_BALLS} in the capture: green outlines must lie on balls, red crosses on lights",
         )
     ]
-    if measured.scene is not None and measured.scene.tilt_deg > LEVEL_SIGMA_DEG:
+    if measured.scene is not None and measured.scene.tilt_deg > MOST_LEVEL_DEG:
         what = "the scene is tilted under the lamps measured on the balls: unless it is, they are off by that angle"
         said = f"{measured.scene.tilt_deg:.0f} degrees"
         remedy = "Photograph again with the balls on black cloth, well inside the picture, or give --lights FILE"
