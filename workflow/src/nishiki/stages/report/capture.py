@@ -112,6 +112,12 @@ def about_capture(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
     return [*facts, ("Camera", ", ".join(part for part in parts if part) or "not stated")]
 
 
+def size_of(rows: int, columns: int, pitch_mm: float | None) -> str:
+    """Describe the size of a picture in pixels, and in mm where their pitch is known."""
+    size = f"{columns} × {rows} pixels"
+    return f"{size} of {pitch_mm:g} mm, {columns * pitch_mm:.0f} × {rows * pitch_mm:.0f} mm" if pitch_mm else size
+
+
 def facts_of_painting(
     diagnostics: dict[str, Any], channels: list[str], pitch_mm: float | None, kinds: list[str]
 ) -> list[tuple[str, str]]:
@@ -119,9 +125,7 @@ def facts_of_painting(
     rows, columns = diagnostics["rows"], diagnostics["columns"]
     capture = diagnostics["capture"]
     facts = about_capture(diagnostics)
-    size = f"{columns} × {rows} pixels"
-    if pitch_mm:
-        size += f" of {pitch_mm:g} mm, {columns * pitch_mm:.0f} × {rows * pitch_mm:.0f} mm"
+    size = size_of(rows, columns, pitch_mm)
     (row, column, *part), photograph = diagnostics["region"], diagnostics["photograph"]
     if part != list(photograph):
         why = "cropped to the object mask" if capture.get("mask") else "region of interest"

@@ -2,16 +2,16 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.maps import shrink
 from nishiki.colour.colour import xyz_to_srgb_linear
 from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Metric, Note, Section, Table
-from nishiki.report.pictures import block_of, brightened, brightening, colour_picture
+from nishiki.report.pictures import brightened, brightening, colour_picture
 from nishiki.report.scene_page import Head, headline
-from nishiki.stages.report.capture import about_capture
+from nishiki.stages.report.capture import about_capture, size_of
 from nishiki.stages.report.painting_surface import PaintingData
 
 FIT_PX, SEAM_DE, SEAM_DEG = 0.5, 2.0, 2.0
@@ -38,18 +38,13 @@ def mosaic_section(page: PaintingData) -> Section:
 
     described = json.loads(page.inputs["mosaic"].path("mosaic.json").read_text())
     maps, camera = page.maps["normals"], page.camera
-    block = block_of(page.mask.shape[1], page.widest)
-
-    def known(rows: slice) -> np.ndarray:
-        return np.where(page.known(rows)[..., None], maps.read("reflectance", rows), np.nan)
-
-    linear = shrink(known, (page.mask.shape[0], page.mask.shape[1]), block)
+    linear = page.small(partial(maps.read, "reflectance"), masked=True)
     linear = np.ascontiguousarray(xyz_to_srgb_linear(camera.xyz(linear), white=camera.white), np.float32)
     factor = brightening(linear)
     linear *= factor
     marks = []
     for name, field in described["fields"].items():
-        corners = (np.array(field["corners"]) + 0.5) / block
+        corners = (np.array(field["corners"]) + 0.5) / page.block
         cv2.polylines(linear, [np.round(corners).astype(np.int32)], isClosed=True, color=(1.0, 0.3, 0.0), thickness=1)
         marks.append((*map(float, corners.mean(axis=0)), name))
     picture = replace(colour_picture(linear), marks=tuple(marks))
@@ -104,14 +99,10 @@ def mosaic_head(title: str | None, diagnostics: dict[str, Any], page: PaintingDa
         (colour >= SEAM_DE, f"colours of fields differ by ΔE00 {colour:.1f} where they overlap", boards),
         (angle >= SEAM_DEG, f"normals of fields differ by {angle:.1f}° where they overlap", boards),
     ]
-    rows, columns = page.mask.shape
-    size = f"{columns} × {rows} pixels"
-    if page.pitch:
-        size += f" of {page.pitch:g} mm, {columns * page.pitch:.0f} × {rows * page.pitch:.0f} mm"
     return Head(
         title=title,
         about=f"joined from {diagnostics['fields']} overlapping fields, each photographed under several lights",
-        facts=[*about_capture(diagnostics), ("Picture", size)],
+        facts=[*about_capture(diagnostics), ("Picture", size_of(page.mask.shape[0], page.mask.shape[1], page.pitch))],
         tiles=[
             Metric(fit, "px", "residual of the registration of the fields"),
             Metric(colour, "ΔE00", "mean colour difference of two fields where they overlap"),

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.maps import shrink
 from nishiki.artifacts.stage import Context
 from nishiki.observations.plane import Observations
 from nishiki.report.page import (
@@ -20,7 +19,7 @@ from nishiki.report.page import (
     film,
     film_and_notes,
 )
-from nishiki.report.pictures import block_of, class_picture, file_picture
+from nishiki.report.pictures import class_picture, file_picture
 from nishiki.report.scene_page import SLIGHT, Head, headline, text, write_scene_page
 from nishiki.report.svg import PALETTE, Curve, chart, plain
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting
@@ -73,26 +72,15 @@ def finishes_of(page: PaintingData) -> list[Block]:
     finishes, names = page.finishes, page.names
     if len(finishes) < 2 or "finish" not in page.maps["normals"]:
         return []
-    block = block_of(page.mask.shape[1], page.widest)
     maps = page.maps["normals"]
-    labels = shrink(
-        lambda rows: np.where(page.mask[rows], maps.read("finish", rows), -1), page.mask.shape, block, "middle"
-    )
+    labels = page.small(lambda rows: np.where(page.mask[rows], maps.read("finish", rows), -1), "middle")
     key = {k: (PALETTE[k % len(PALETTE)], name) for k, name in enumerate(names)}
-    rows: list[list[Cell]] = [
-        [
-            name,
-            100 * finish["share"],
-            finish.get("gloss_transmission"),
-            "from the selected lights"
-            if not finish["joint"]
-            else "together with the gloss"
-            if finish.get("gloss_beta")
-            else "from all lights, no gloss",
-            finish["left_out_de00"].get("joint" if finish["joint"] else "plain"),
-        ]
-        for name, finish in zip(names, finishes, strict=True)
-    ]
+    rows: list[list[Cell]] = []
+    for name, finish in zip(names, finishes, strict=True):
+        how = "together with the gloss" if finish.get("gloss_beta") else "from all lights, no gloss"
+        how = how if finish["joint"] else "from the selected lights"
+        error = finish["left_out_de00"].get("joint" if finish["joint"] else "plain")
+        rows.append([name, 100 * finish["share"], finish.get("gloss_transmission"), how, error])
     head = ("Finish", "share, %", "loss at the surface", "normals", "ΔE00 of captured lamps left out")
     caption = (
         "Finishes: share of the painting, part of a smooth surface's loss that the body suffers, fit of the normals."

@@ -1,17 +1,16 @@
 """Write the section of a painting's page on lights that no fit used: prediction beside photograph."""
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.maps import shrink
 from nishiki.evaluate.relighting import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, SHADOW
 from nishiki.formats.stored import load_arrays
 from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
 from nishiki.report.pictures import (
     balance,
-    block_of,
     brightened,
     brightening,
     class_picture,
@@ -91,16 +90,14 @@ def _pictures(page: PaintingData, light, preview, difference: np.ndarray, end: f
     observed, predicted = (np.asarray(preview[name], np.float32) for name in ("observed", "predicted"))
     factor = brightening(observed[inside])
     de00, classes = f"de00_{light['index']:03d}", f"classes_{light['index']:03d}"
-    shape = tuple(maps.group[de00].shape)
-    block = block_of(shape[1], page.widest)
 
     def ranked(rows: slice) -> np.ndarray:
         """Read classes as floats, 0 (not compared) as NaN, so that a block takes its most severe one."""
         values = maps.read(classes, rows)
         return np.where(values > 0, values, np.nan).astype(np.float32)
 
-    in_view = shrink(ranked, shape, block, "largest")
-    small = shrink(lambda rows: maps.read(de00, rows), shape, block)
+    in_view = page.small(ranked, "largest")
+    small = page.small(partial(maps.read, de00))
     pictures = {
         "Photograph": colour_picture(factor * observed, inside=inside),
         "Prediction": colour_picture(factor * predicted, inside=inside),

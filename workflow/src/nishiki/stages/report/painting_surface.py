@@ -1,6 +1,8 @@
 """Write the sections of a painting's page on shape and colour: normals, height, spectra and their errors."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -106,8 +108,8 @@ class PaintingData(SceneData):
     """Input of the sections of a painting's page, beside that of any page.
 
     frames : observations; kinds : of the lights; maps : of the stages that left some, by their names; mask : (rows,
-    columns) bool, the object; pitch : of a pixel, mm; ruler : below pictures; camera : map of the channels to XYZ;
-    finishes : of the normals' diagnostics, and their names.
+    columns) bool, the object; pitch : of a pixel, mm; block : side of the squares of pixels whose means make a picture;
+    ruler : below pictures; camera : map of the channels to XYZ; finishes, names : of the normals' diagnostics.
     """
 
     def __init__(self, context: Context):
@@ -118,7 +120,7 @@ class PaintingData(SceneData):
         self.kinds = [kind_of(name, role, held_out) for name, role in zip(frames.lights, frames.roles, strict=True)]
         self.maps = {name: Maps(each.folder) for name, each in self.inputs.items() if each.path("maps.zarr").is_dir()}
         self.mask, self.pitch = frames.mask, frames.pixel_pitch_mm
-        self.ruler = ruler(frames.shape[1], self.pitch)
+        self.block, self.ruler = block_of(frames.shape[1], self.widest), ruler(frames.shape[1], self.pitch)
         self.camera = read_camera_colour(ingest.path("curves.npz"), len(frames.channels), frames.to_srgb)
         self.finishes = normals.diagnostics.get("finishes") or []
         self.names = finish_names(self.finishes)
@@ -127,19 +129,29 @@ class PaintingData(SceneData):
         """Return the pixels of the object that have an estimate, (r, columns) bool."""
         return self.mask[rows] & ((self.maps["normals"].read("flags", rows) & NO_ESTIMATE) == 0)
 
+    def small(self, read: Callable[[slice], np.ndarray], how: str = "mean", *, masked: bool = False) -> np.ndarray:
+        """Reduce a map to the columns of a picture; masked : from the pixels that have an estimate only, else NaN."""
+
+        def values(rows: slice) -> np.ndarray:
+            found = np.array(read(rows), np.float32)
+            found[~self.known(rows)] = np.nan
+            return found
+
+        return shrink(values if masked else read, self.mask.shape, self.block, how)
+
 
 def shape_section(page: PaintingData) -> Section:
     """Return normals, height and their errors."""
     diagnostics = page.diagnostics["normals"]
     normals, height, evaluated = (page.maps.get(name) for name in ("normals", "height", "evaluate"))
-    shape = tuple(normals.group["normals"].shape[:2])
-    block = block_of(shape[1], page.widest)
-    known = shrink(lambda rows: page.known(rows).astype(np.float32), shape, block) > 0
+    known = page.small(lambda rows: page.known(rows).astype(np.float32)) > 0
 
-    def small(name: str, maps=normals) -> np.ndarray:
-        values = shrink(lambda rows: maps.read(name, rows), shape, block)
-        values[~known] = np.nan
-        return values
+    def small(name: str, maps: Maps = normals) -> np.ndarray:
+        return np.where(
+            known.reshape(known.shape + (1,) * (maps.group[name].ndim - 2)),
+            page.small(partial(maps.read, name)),
+            np.nan,
+        )
 
     calibrated = height is not None and "expected_error" in height
     sigma = np.degrees(small("expected_error", height) if calibrated else small("sigma"))
@@ -149,7 +161,7 @@ def shape_section(page: PaintingData) -> Section:
     end = float(max(ends, default=1))
     items = [Figure("Normals", NORMALS, normal_picture(small("normals")), ruler=page.ruler)]
     if height is not None:
-        items += _height(page, shape, block, known)
+        items += _height(page, small("height", height).astype(np.float64))
     expected = scalar_picture(sigma, heat(), unit="degrees", low=0.0, high=end)
     items.append(Figure("Expected error of the normals", CALIBRATED if calibrated else FORMAL, expected))
     if error is not None:
@@ -159,7 +171,7 @@ def shape_section(page: PaintingData) -> Section:
         lights = scalar_picture(small("lights_used"), sea(), unit="lights", digits=3)
         items.append(Figure("Lights used", LIGHTS_OF_REFINED if diagnostics.get("refined") else LIGHTS, lights))
     key = {k: (colour, text) for k, (_, colour, text) in enumerate(CLASSES)}
-    flags = class_picture(_flags(page, shape, block), key)
+    flags = class_picture(_flags(page), key)
     items.append(Figure("Weak places", "where an estimate is missing or weak.", flags))
     given = _of_given(diagnostics["given"]) if diagnostics.get("given") else []
     return Section("shape", "Shape", [Figures(items), *given, *_against_truth(page.evaluation)])
@@ -196,11 +208,10 @@ def _against_truth(evaluation: dict[str, Any]) -> list[Block]:
     return blocks
 
 
-def _flags(page: PaintingData, shape: tuple[int, int], block: int) -> np.ndarray:
+def _flags(page: PaintingData) -> np.ndarray:
     """Return the most severe class of each block of pixels; NaN outside the mask."""
-    classes = shrink(lambda rows: _classes(page.maps["normals"].read("flags", rows)), shape, block, "largest")
-    inside = shrink(lambda rows: page.mask[rows].astype(np.float32), shape, block) > 0
-    return np.where(inside, classes, np.nan)
+    classes = page.small(lambda rows: _classes(page.maps["normals"].read("flags", rows)), "largest")
+    return np.where(page.small(lambda rows: page.mask[rows].astype(np.float32)) > 0, classes, np.nan)
 
 
 def _classes(flags: np.ndarray) -> np.ndarray:
@@ -211,12 +222,9 @@ def _classes(flags: np.ndarray) -> np.ndarray:
     return classes
 
 
-def _height(page: PaintingData, shape: tuple[int, int], block: int, known: np.ndarray) -> list[Figure]:
-    height = page.maps["height"]
-    unit = height.attributes("height").get("unit", "")
-    values = shrink(lambda rows: height.read("height", rows), shape, block).astype(np.float64)
-    values[~known] = np.nan
-    step = (page.pitch or 1.0) * block if unit == "mm" else float(block)
+def _height(page: PaintingData, values: np.ndarray) -> list[Figure]:
+    unit = page.maps["height"].attributes("height").get("unit", "")
+    step = (page.pitch or 1.0) * page.block if unit == "mm" else float(page.block)
     flat = values - np.nanmin(values) if np.isfinite(values).any() else values
     relief = np.repeat(hillshade(values, step=step)[..., None], 3, axis=-1)
     return [
@@ -242,16 +250,8 @@ VARNISH = (
 def colour_section(page: PaintingData) -> Section:
     """Return diffuse reflectance, spectra where there are some, and their errors."""
     normals, spectra, evaluated = (page.maps.get(name) for name in ("normals", "spectra", "evaluate"))
-    shape = tuple(normals.group["reflectance"].shape[:2])
-    block = block_of(shape[1], page.widest)
-
-    def masked(maps: Maps, name: str, rows: slice) -> np.ndarray:
-        values = np.array(maps.read(name, rows), np.float32)
-        values[~page.known(rows)] = np.nan
-        return values
-
     maps, name = (normals, "reflectance") if spectra is None else (spectra, "coefficients")
-    small = shrink(lambda rows: masked(maps, name, rows), shape, block)
+    small = page.small(partial(maps.read, name), masked=True)
     if spectra is None:
         figure = _diffuse(
             xyz_to_srgb_linear(page.camera.xyz(small), white=page.camera.white), page.camera.how, (), page.ruler
@@ -259,13 +259,13 @@ def colour_section(page: PaintingData) -> Section:
         return Section("colour", "Colour", [Figures([figure])])
     basis = np.array(spectra.attributes("coefficients")["basis"])
     xyz = small @ xyz_matrix(illuminant("D65"), basis).T
-    sigma = shrink(lambda rows: masked(spectra, "sigma", rows), shape, block)
+    sigma = page.small(partial(spectra.read, "sigma"), masked=True)
     profile = np.array(spectra.attributes("sigma")["profile"])
     truth = page.evaluation.get("reflectance") or {}
-    curves, marks = _of_places(small, xyz, basis, sigma[..., None] * profile, block)
+    curves, marks = _of_places(small, xyz, basis, sigma[..., None] * profile, page.block)
     items = [_diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65", marks, page.ruler)]
     if evaluated is not None and "reflectance_de00" in evaluated:
-        difference = shrink(lambda rows: evaluated.read("reflectance_de00", rows), shape, block)
+        difference = page.small(partial(evaluated.read, "reflectance_de00"))
         picture = scalar_picture(difference, heat(), unit="ΔE00 under D65", low=0.0)
         items.append(Figure("Difference to the true reflectance", UNDER_D65, picture))
     picture = scalar_picture(sigma, heat(), unit="reflectance, expected rms", low=0.0)
