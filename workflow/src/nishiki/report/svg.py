@@ -281,6 +281,9 @@ def _range(arrays: list[np.ndarray], *, zero: bool = False) -> tuple[float, floa
     return (low, high) if high > low else (low - 0.5, low + 0.5)
 
 
+MOST_NAMES = 16  # beside each other in a drawing of lights
+
+
 def lights_plot(
     directions: np.ndarray,
     names: list[str],
@@ -292,7 +295,7 @@ def lights_plot(
 ) -> str:
     """Draw light directions (lights, 3) from the camera: distance from the middle grows evenly with incidence.
 
-    The rim is 90 degrees. kinds: sample | check | held out. Names are drawn up to 16 lights.
+    The rim is 90 degrees. kinds: sample | check | held out. Of many lights only some are named.
     """
     middle, radius = size / 2, size / 2 - 30
     drawing = Drawing(size, size, title)
@@ -305,7 +308,8 @@ def lights_plot(
     for text, dx, dy in zip(sides, (0, 1, 0, -1), (-1, 0, 1, 0), strict=False):
         x, y = middle + dx * (radius + 14), middle + dy * (radius + 14) + 4
         drawing.text(x, y, text, anchor="middle", colour=SOFT)
-    for direction, name, kind in zip(np.asarray(directions, float), names, kinds, strict=True):
+    lights = zip(np.asarray(directions, float), names, kinds, strict=True)
+    for number, (direction, name, kind) in enumerate(lights):
         x, y, z = direction
         horizontal = float(np.hypot(x, y))
         reach = np.degrees(np.arctan2(horizontal, z)) / 90 * radius / horizontal if horizontal > 0 else 0.0
@@ -316,7 +320,7 @@ def lights_plot(
             drawing.diamond(x, y, 6, fill=PAPER, stroke=PALETTE[1], width=2, tip=tip)
         else:
             drawing.circle(x, y, 4.5, fill=PALETTE[0], tip=tip)
-        if len(names) <= 16:
+        if number % -(-len(names) // MOST_NAMES) == 0:
             drawing.text(x + 8, y + 4, name, size=10)
     return drawing.finish()
 

@@ -18,6 +18,7 @@ STEEPEST_DEG = 80
 """Steepest view of the drawn lobes: at grazing views a cloth can outshine all others."""
 VIEW, BRDF = "view, degrees from the normal; the light is on the right", "BRDF, 1/sr"
 """Labels of the axes of charts in the plane of the light."""
+LOBES_SPAN = 3000  # largest ratio of the values of a logarithmic scale, so that weak lobes show beside strong ones
 DISC = 168
 """Side of a view disc in pixels."""
 MODEL_NAMES = {
@@ -58,8 +59,8 @@ def reflection_section(data: SceneData) -> Section:
             discs[f"Model, light {where}"] = evaluate(degrees, azimuth, views)
     every = np.concatenate(list(discs.values()))
     high = float(np.percentile(every, 99.7)) or 1.0
-    low = max(float(np.percentile(every, 2)), high / 3000, 1e-9)
-    caption = "Lobes of the BRDF for light from the right."
+    low = max(float(np.percentile(every, 2)), high / LOBES_SPAN, 1e-9)
+    caption = "Lobes of the BRDF for light from the right, on a logarithmic scale."
     blocks: list[Block] = [
         "All views of the hemisphere, seen from above: the weft runs to the right, the warp upwards, distance from the "
         f"middle grows evenly with the angle from the normal. Model: {model_name(models.default)}.",
@@ -82,7 +83,12 @@ def lobes_plot(evaluate: Callable[[float, float, np.ndarray], np.ndarray], plane
         Curve(f"light at {degrees}°", angle, evaluate(degrees, azimuth, along), PALETTE[k])
         for k, degrees in enumerate(INCIDENCES_DEG)
     ]
-    return chart(curves, x_label=VIEW, y_label=BRDF, title=f"lobes of the BRDF in the plane of the {plane}")
+    top = max(float(curve.y.max()) for curve in curves) or 1.0
+    low = max(min(float(curve.y.min()) for curve in curves), top / LOBES_SPAN)
+    return chart(
+        curves, x_label=VIEW, y_label=BRDF, title=f"lobes of the BRDF in the plane of the {plane}",
+        y_range=(0.9 * low, 1.1 * top), logarithmic=True,
+    )  # fmt: skip
 
 
 def light(degrees: float, azimuth: float) -> np.ndarray:
