@@ -9,12 +9,14 @@ from turned_cameras import FOCAL, SQUARE, TILT, cameras_at, outlines
 
 from nishiki.errors import UserError
 from nishiki.geometry.turn import turn_of
-from nishiki.geometry.turn_estimate import Adjustment, Evidence, Matches, estimate_turn
+from nishiki.geometry.turn_estimate import Adjustment, Evidence, Matches, estimate_turn, reduce_grey
 
 
 def estimate(masks, pictures=None, **how):
     pictures = pictures or [np.repeat(mask[..., None] * np.uint8(200), 3, axis=2) for mask in masks]
-    return estimate_turn(pictures, masks, tuple(map(str, range(len(masks)))), **how)
+    return estimate_turn(
+        [reduce_grey(picture) for picture in pictures], masks, tuple(map(str, range(len(masks)))), **how
+    )
 
 
 EVEN = np.arange(18) * 20.0

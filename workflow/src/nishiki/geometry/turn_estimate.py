@@ -91,18 +91,25 @@ class TurnEstimate(PlainFields):
     height: float  # of the object along the axis, in the world's unit
 
 
-def match_features(pictures: list[np.ndarray], masks: list[np.ndarray]) -> Matches:
+def reduce_grey(picture: np.ndarray) -> np.ndarray:
+    """Convert a picture (rows, columns, 3) uint8 to grey of FEATURE_SIDE pixels at most."""
+    import cv2
+
+    factor = min(1.0, FEATURE_SIDE / max(picture.shape))
+    return cv2.resize(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None, fx=factor, fy=factor, interpolation=3)
+
+
+def match_features(greys: list[np.ndarray], masks: list[np.ndarray]) -> Matches:
     """Match SIFT features (D. Lowe, IJCV 2004) within the masks between views that are near each other on the turn.
 
-    pictures: (rows, columns, 3) uint8. Matches are mutual, distinct, agree with one epipolar geometry, and move: what
+    greys: of `reduce_grey`. Matches are mutual, distinct, agree with one epipolar geometry, and move: what
     stands still is background or the lamp's reflection.
     """
     import cv2
 
     factor = min(1.0, FEATURE_SIDE / max(masks[0].shape))
     finder, found = cv2.SIFT.create(4000, contrastThreshold=0.02), []
-    for picture, mask in zip(pictures, masks, strict=True):
-        grey = cv2.resize(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), None, fx=factor, fy=factor, interpolation=3)
+    for grey, mask in zip(greys, masks, strict=True):
         inner = cv2.erode(cv2.resize(mask.astype(np.uint8), grey.shape[::-1]), np.ones((5, 5), np.uint8))
         points, codes = finder.detectAndCompute(grey, inner)
         places = np.array([point.pt for point in points], np.float64).reshape(-1, 2)
@@ -408,7 +415,7 @@ def find_turn(evidence: Evidence, focal: float | None = None) -> list[Adjustment
 
 
 def estimate_turn(
-    pictures: list[np.ndarray],
+    greys: list[np.ndarray],
     masks: list[np.ndarray],
     names: tuple[str, ...],
     *,
@@ -421,8 +428,8 @@ def estimate_turn(
 
     Parameters
     ----------
-    pictures, masks : list of ndarray
-        (rows, columns, 3) uint8 and (rows, columns) bool of every view.
+    greys, masks : list of ndarray
+        Picture of `reduce_grey`, and (rows, columns) bool, of every view.
     names : tuple of str
         Names of the views.
     intrinsics : ndarray, optional
@@ -454,7 +461,7 @@ def estimate_turn(
     empty = [name for name, mask in zip(names, masks, strict=True) if not mask.any()]
     if empty:
         raise UserError(f"cameras: no outline of the object was found in view {', '.join(empty[:5])}. {REMEDY}")
-    matches = match_features(pictures, masks)
+    matches = match_features(greys, masks)
     evidence = Evidence(masks, matches, intrinsics, distortion)
     focal = None if intrinsics is None else float(intrinsics[0, 0]) / evidence.side
     best, other = find_turn(evidence, focal)

@@ -90,7 +90,10 @@ STAGE = Stage(
     libraries=("numpy", "scipy", "zarr", OPENCV),
     threads=1,
     cost=lambda facts: (
-        Cost(mib=300, seconds=0.5 * len(facts.views) + 2e-6 * facts.pixels * len(facts.views))
+        Cost(
+            mib=300 + facts.pixels * (len(facts.views) + 60) / 2**20,
+            seconds=0.5 * len(facts.views) + 2e-6 * facts.pixels * len(facts.views),
+        )
         if POSES[-1] in facts.given and len({*POSES} & {*facts.given}) == 1
         else Cost(mib=200, seconds=1.5)
     ),

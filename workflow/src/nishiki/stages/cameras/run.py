@@ -12,7 +12,7 @@ from nishiki.geometry.camera import NO_DISTORTION, Camera, cameras_of_matrices, 
 from nishiki.geometry.pose import Pose, Sight, choose_poses, estimate_pose
 from nishiki.geometry.silhouettes import display, segment
 from nishiki.geometry.turn import turn_of
-from nishiki.geometry.turn_estimate import estimate_turn
+from nishiki.geometry.turn_estimate import estimate_turn, reduce_grey
 from nishiki.observations.views import Views
 from nishiki.stages.cameras import CamerasSettings
 
@@ -140,15 +140,15 @@ def estimated(
     context: Context, views: Views, source: str, points: dict | None
 ) -> tuple[list[Camera], list[None], dict]:
     """Return poses from the photographs alone, and how sure they are."""
-    pictures, masks = [], []
+    greys, masks = [], []
     for place in context.progress.over(range(len(views.views)), "view"):
-        pictures.append(display(views.mean_light(place)))
-        given = views.silhouette(place)
+        picture, given = display(views.mean_light(place)), views.silhouette(place)
+        greys.append(reduce_grey(picture))
         background = views.attributes.get("background") or "auto"
-        masks.append(segment(pictures[-1], background=background).mask if given is None else given)
+        masks.append(segment(picture, background=background).mask if given is None else given)
     lens = views.intrinsics
     found = estimate_turn(
-        pictures,
+        greys,
         masks,
         views.views,
         intrinsics=np.array(lens["matrix"], float) if lens else None,
