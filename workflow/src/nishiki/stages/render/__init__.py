@@ -160,7 +160,12 @@ class ObjectRenderSettings(Guarded, stage="object_render", version=2):
     shadows: bool = Field(True, description="cast shadows of `lamps`")
     shadow_rays: int = Field(32, ge=1, le=1024, description="to points of each lamp's disc, from every texel")
     film: ObjectFilmSettings | None = Field(ObjectFilmSettings(), description="null: no video")
-    level: int = Field(0, ge=0, le=6, description="0: everything; 1, 2, ..: previews from the coarse part alone")
+    level: int = Field(
+        0,
+        ge=0,
+        le=6,
+        description="0: everything; 1, 2, ..: previews from the coarse part of texels, else the model alone",
+    )
     background: float = Field(
         0.0, ge=0, le=1, description="of PNG and video, sRGB-coded grey; EXR has an alpha channel"
     )
