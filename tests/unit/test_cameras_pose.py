@@ -94,7 +94,6 @@ def test_noise_and_a_third_of_outliers_against_the_slow_reference(seed):
     np.testing.assert_allclose(found.camera.rotation, expected_rotation, atol=1e-6)
     np.testing.assert_allclose(found.camera.translation, expected_shift, atol=1e-5)
     assert 0.3 < found.rms_px < 1.0
-    assert found.worst_px < 3
 
 
 def test_same_input_same_output():

@@ -7,7 +7,7 @@ import numpy as np
 from nishiki.formats.stored import PlainFields
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors, row_numbers
-from nishiki.geometry.surface import parts_of
+from nishiki.geometry.surface import compacted, parts_of
 from nishiki.geometry.visibility import rasterise
 
 
@@ -52,9 +52,8 @@ def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] 
     triangles, turned = turned_alike(triangles)
     vertices, triangles, split = split_touching(vertices, triangles)
     triangles, turned_parts = outwards(vertices, triangles, cameras or [])
-    used, renumbered = np.unique(triangles, return_inverse=True)
     defects = Defects(merged, degenerate, duplicates, crowded_edges, crowded, split, turned, turned_parts, unreferenced)
-    return Mesh.of(vertices[used], renumbered.reshape(-1, 3)), defects
+    return compacted(vertices, triangles), defects
 
 
 def merge_equal(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
@@ -158,10 +157,7 @@ def split_touching(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
     from scipy.sparse.csgraph import connected_components
 
     # Corners of triangles are one fan where they share an edge at their vertex.
-    number, owners, _ = _edges(triangles)
-    order = np.argsort(number, kind="stable")
-    pairs = np.flatnonzero(number[order][1:] == number[order][:-1])
-    first, second = owners[order[pairs]], owners[order[pairs + 1]]
+    first, second, _ = _neighbours(triangles)
     starts, ends = [], []
     for k in range(3):
         for m in range(3):

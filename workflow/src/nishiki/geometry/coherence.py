@@ -19,6 +19,7 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.hull import Field, bounding_box, field_of, sight_rays
 from nishiki.geometry.hull_kernels import trace_rays
+from nishiki.geometry.placement import shrink
 from nishiki.geometry.turn import scale_turn
 
 LONGEST_SIDE = 320
@@ -86,7 +87,7 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera], *, m
 
     The time is about 10 ms a view where nothing is wrong, and some seconds where corrections are tried.
     """
-    reduced = [_reduce(mask, camera) for mask, camera in zip(silhouettes, cameras, strict=True)]
+    reduced = [shrink(mask, camera, LONGEST_SIDE) for mask, camera in zip(silhouettes, cameras, strict=True)]
     outlines = Outlines([mask for mask, _ in reduced], [camera for _, camera in reduced], misses)
     stated = outlines.miss_shares()
     found = Coherence(float(stated.mean()), tuple(stated.tolist()))
@@ -296,18 +297,6 @@ def _odd_views(outlines: Outlines) -> list[Trial]:
         if min(shares) < outlines.enough:
             break
     return [Trial(Correction("view-contradicts", views=tuple(sorted(left))), without=left)] if left else []
-
-
-def _reduce(mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
-    """Reduce a silhouette and its camera to a picture of at most 320 pixels on its longer side."""
-    import cv2
-
-    factor = LONGEST_SIDE / max(mask.shape)
-    if factor >= 1:
-        return mask, camera
-    rows, columns = (max(2, round(size * factor)) for size in mask.shape)
-    small = cv2.resize(mask.astype(np.uint8) * np.uint8(255), (columns, rows), interpolation=cv2.INTER_AREA) > 127
-    return small, camera.resize(rows, columns)
 
 
 def _outline_pixels(mask: np.ndarray) -> np.ndarray:

@@ -119,7 +119,7 @@ def measure_placement(
     Where they overlap by less than `enough`, other units and axes are tried too.
     """
     chosen = np.unique(np.linspace(0, len(cameras) - 1, min(MOST_VIEWS, len(cameras))).round().astype(int))
-    views = [_shrink(silhouettes[i], cameras[i]) for i in chosen]
+    views = [shrink(silhouettes[i], cameras[i], SIDE) for i in chosen]
 
     def overlap(reading: tuple) -> float:
         moved = Mesh.of(*move_mesh(mesh.vertices, mesh.triangles, *reading))
@@ -148,13 +148,15 @@ def measure_placement(
     return Placement(found, *best, overlap(best))
 
 
-def _shrink(mask: np.ndarray, camera: Camera) -> tuple[np.ndarray, Camera]:
-    """Reduce a silhouette to at most 96 pixels on its longer side, and its camera."""
+def shrink(mask: np.ndarray, camera: Camera, side: int) -> tuple[np.ndarray, Camera]:
+    """Reduce a silhouette and its camera to a picture of at most `side` pixels on its longer side."""
     import cv2
 
-    factor = min(1.0, SIDE / max(mask.shape))
-    rows, columns = (max(2, round(n * factor)) for n in mask.shape)
-    small = cv2.resize(mask.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA) >= 0.5
+    factor = side / max(mask.shape)
+    if factor >= 1:
+        return mask, camera
+    rows, columns = (max(2, round(size * factor)) for size in mask.shape)
+    small = cv2.resize(mask.astype(np.uint8) * np.uint8(255), (columns, rows), interpolation=cv2.INTER_AREA) > 127
     return small, camera.resize(rows, columns)
 
 

@@ -37,12 +37,11 @@ class Sight:
 
 @dataclass(frozen=True)
 class Pose:
-    """A pose. camera: the view. inliers (n,) bool: points that agree with it. rms_px, worst_px: over the inliers."""
+    """A pose. camera: the view. inliers (n,) bool: points that agree with it. rms_px: over the inliers."""
 
     camera: Camera
     inliers: np.ndarray
     rms_px: float
-    worst_px: float
 
 
 def estimate_pose(
@@ -89,7 +88,7 @@ def estimate_pose(
         count = int((depth[inliers] <= 0).sum())
         raise UserError(f"view {sight.name!r}: {count} points lie behind the camera that fits best. {REMEDY}")
     errors = np.linalg.norm(projected - sight.pixels, axis=1)[inliers]
-    return Pose(camera, inliers, float(np.sqrt((errors**2).mean())), float(errors.max()))
+    return Pose(camera, inliers, float(np.sqrt((errors**2).mean())))
 
 
 REMEDY = (

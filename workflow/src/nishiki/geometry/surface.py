@@ -29,7 +29,11 @@ def decimate(mesh: Mesh, triangles: int) -> Mesh:
     if triangles >= len(mesh.triangles):
         return mesh
     vertices, faces = mesh.vertices.copy(), mesh.triangles.astype(np.int64)
-    faces = faces[collapse(vertices, faces, triangles)]
+    return compacted(vertices, faces[collapse(vertices, faces, triangles)])
+
+
+def compacted(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    """Make a mesh of those vertices (v, 3) that faces (f, 3) use."""
     used, renumbered = np.unique(faces, return_inverse=True)
     return Mesh.of(vertices[used], renumbered.reshape(-1, 3))
 
@@ -141,9 +145,7 @@ def snapped(mesh: Mesh, step: float) -> Mesh:
     """Snap vertices to the grid of multiples of `step`; vanishing triangles are dropped."""
     vertices = np.round(mesh.vertices / step) * step
     areas = np.linalg.norm(face_vectors(vertices, mesh.triangles), axis=1)
-    faces = mesh.triangles[areas > 0]
-    used, renumbered = np.unique(faces, return_inverse=True)
-    return Mesh.of(vertices[used], renumbered.reshape(-1, 3))
+    return compacted(vertices, mesh.triangles[areas > 0])
 
 
 def smoothed(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int = 8) -> Mesh:
@@ -236,6 +238,4 @@ def without_small_parts(mesh: Mesh, *, smallest: float = 0.05) -> tuple[Mesh, in
         np.maximum.at(high, mine, mesh.vertices[mesh.triangles[:, k]])
     diagonal = np.linalg.norm(high - low, axis=1)
     kept = diagonal >= smallest * diagonal.max()
-    faces = mesh.triangles[kept[mine]]
-    used, renumbered = np.unique(faces, return_inverse=True)
-    return Mesh.of(mesh.vertices[used], renumbered.reshape(-1, 3)), int((~kept).sum())
+    return compacted(mesh.vertices, mesh.triangles[kept[mine]]), int((~kept).sum())
