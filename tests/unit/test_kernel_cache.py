@@ -36,4 +36,4 @@ def test_a_copy_of_the_package_uses_the_kernels_of_the_first(tmp_path):
         told.append("compiling" in done.stderr)
     assert hits == [["0", "1"], ["1", "0"]]
     assert told == [True, False], "compilation is told of, and only where it happens"
-    assert [path.name for path in (tmp_path / "kernels").iterdir()] == ["simulate.painting.relief"]
+    assert "simulate.painting.relief" in {path.name for path in (tmp_path / "kernels").iterdir()}

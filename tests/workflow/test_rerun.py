@@ -47,7 +47,7 @@ def test_times_comments_docstrings_and_layout_rerun_nothing(site):
     name = "workflow/src/nishiki/photometric/solve.py"
     path = site.folder / name
     path.write_text("# a comment\n\n\n" + path.read_text())
-    edit(site, "workflow/src/nishiki/observations/plane.py", '"""Reading the ingested frames', '"""Changed words')
+    edit(site, "workflow/src/nishiki/observations/plane.py", '"""The ingested frames', '"""Changed words')
     for folder in ("workflow", "scripts", "captures", "config", "results"):
         for path in (site.folder / folder).rglob("*"):
             if path.is_file() and not path.is_symlink():

@@ -214,7 +214,7 @@ class Evidence:
     def touching(self, lens: np.ndarray, turns: np.ndarray) -> Iterator[tuple[list, list, np.ndarray]]:
         """Yield of both outermost planes through each baseline the rays of both views, and their angles and sines.
 
-        The last array (n,) bool tells where an outline is too wide about the baseline to have such planes.
+        The last array (n,) bool marks where an outline is too wide about the baseline to have such planes.
         """
         first, second = self.tangents.T
         corners = self.rays(lens, self.middles + (1 + lens[6]) * (self.corners - self.middles))
@@ -486,7 +486,7 @@ def estimate_turn(
         )
     if ratio < LEAST_RATIO:
         raise UserError(
-            "cameras: the photographs do not tell which way the object turns: it is too round and too smooth, or "
+            "cameras: the photographs do not determine which way the object turns: it is too round and too smooth, or "
             f"stands still. {REMEDY}"
         )
     if deviation[0] > MOST_FOCAL_SD or angle_sd > MOST_ANGLE_SD_DEG:
