@@ -28,11 +28,11 @@ TILTS_DEG, LARGEST_TILT_DEG, LARGEST_ROLL_DEG = (20.0, -20.0), 75.0, 40.0
 PRINCIPAL_SD = 0.005
 """Standard deviation of the principal point about the picture's centre, of the longer side."""
 OUTLINE_SD_PX = 0.5
-"""Standard deviation of a common error of all outlines: how far outside or inside of the object they run."""
+"""Standard deviation of an offset that all outlines share, outside or inside of the object's edge."""
 WIDEST_PENCIL = 0.9 * np.pi  # angle that an outline fills about a baseline; above, the epipole is too near
 UNUSABLE_PX = 3.0  # residual of such a pair, so that none is gained by it
 LEAST_SIGMA_PX = 0.05
-LEAST_SINE = 0.3  # of the angle between rays, and between baseline and ray, of points that tell the object's extent
+LEAST_SINE = 0.3  # of the angle between rays, and between baseline and ray, of points that give the object's extent
 EXTENT = (1, 99)  # per cent of such points
 STEP_SD_DEG = 0.2
 SHARED = 4  # views over the least variance of an error that a view's residuals share, in variances of one residual
@@ -48,7 +48,7 @@ A simulated jar in 12 views of 96 pixels was estimated in the wrong sense at 1.0
 LEAST_COST = 0.1  # of a residual, counted so that two senses that both fit far within the noise are alike
 MOST_FOCAL_SD, MOST_ANGLE_SD_DEG = 0.15, 2.0
 MOST_ERROR = 0.02
-"""Error at left-out pairs, of the height of the outlines, above which photographs are none of a turn."""
+"""Error at left-out pairs, of the height of the outlines, above which the photographs contradict a turn."""
 FEATURE_SIDE = 1200  # pixels of the longer side of pictures in which features are matched
 FEATURE_REACH = (1, 2)  # views ahead; at 40 degrees half of the matches on a painted jar were wrong
 RATIO, STILL_PX = 0.8, 1.0
@@ -470,11 +470,11 @@ def estimate_turn(
     error = equal_error = fit.left_out()
     if steps == "free":
         free = min((replace(each, sigmas=fit.sigmas, free=True).solve() for each in (fit, other)), key=lambda f: f.cost)
-        other = other if free.sense == fit.sense else best  # equal steps of this sense, too, leave it undecided
+        other = other if free.sense == fit.sense else best  # if both fits disagree on the sense, ratio is 1: refused
         free = free.reweighted()
         if (free_error := free.left_out()) < FREE_GAIN * equal_error:
             fit, error, deviation = free, free_error, np.sqrt(np.diag(free.covariance()))
-        else:  # what the choice between the two decides is not known better than they agree
+        else:  # the difference of the two fits counts as uncertainty
             deviation = np.hypot(deviation, free.start - fit.start)
     least = LEAST_COST * len(evidence.pairs)
     ratio = replace(other, sigmas=fit.sigmas, free=fit.free).solve().cost / max(fit.cost, least)

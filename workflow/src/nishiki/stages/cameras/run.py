@@ -139,7 +139,7 @@ def located(context: Context, views: Views, source: str, points: dict | None) ->
 def estimated(
     context: Context, views: Views, source: str, points: dict | None
 ) -> tuple[list[Camera], list[None], dict]:
-    """Return poses from the photographs alone, and how sure they are."""
+    """Estimate poses from the photographs alone, with their standard deviations."""
     greys, masks = [], []
     for place in context.progress.over(range(len(views.views)), "view"):
         picture, given = display(views.mean_light(place)), views.silhouette(place)
