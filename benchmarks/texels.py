@@ -34,6 +34,7 @@ from nishiki.atlas.store import Texels
 from nishiki.atlas.write import Source, TexelsWriter
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
+from nishiki.stages.texels import OUTPUTS
 
 SMALL = [(20_000, 6, 300_000), (40_000, 6, 300_000), (20_000, 12, 300_000), (20_000, 6, 600_000)]
 FULL = [(250_000, 9, 12_000_000), (250_000, 18, 12_000_000), (250_000, 36, 12_000_000)]
@@ -92,7 +93,7 @@ def measure(folder: Path, mesh: Mesh, cameras: list[Camera], read, *, channels: 
     found = {"triangles": len(mesh.triangles), "views": len(cameras), "pixels": cameras[0].rows * cameras[0].columns}
     found |= {"charts": len(charts.frames.direction), "tiles": atlas.tiles, "charts_s": lap()}
     source = Source(("",), ("total",), channels, "linear", True)
-    writer = TexelsWriter(folder, mesh, atlas, cameras, source, stamp={})
+    writer = TexelsWriter(folder, OUTPUTS, mesh, atlas, cameras, source, stamp={})
     found["geometry_s"] = lap()
     pixels, spent = 0, 0.0
     for index in range(len(cameras)):

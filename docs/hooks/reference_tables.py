@@ -74,8 +74,10 @@ def tables(name: str) -> str:
     stage = CHAIN[name]
     parts = [settings_table(stage.settings), facts_table(stage)]
     if stage.outputs:
-        arrays = [(f"`{each.name}`", each.dtype, each.unit, each.meaning) for each in stage.outputs]
-        parts += [f"Arrays of `{stage.store}`:", table(("array", "type", "unit", "meaning"), arrays)]
+        axes = any(each.axes for each in stage.outputs)
+        rows = [(f"`{each.name}`", each.dtype, *[each.axes] * axes, each.unit, each.meaning) for each in stage.outputs]
+        heading = ("array", "type", *["axes"] * axes, "unit", "meaning")
+        parts += [f"Arrays of `{stage.store}`:", table(heading, rows)]
     if any(limit.stated for limit in stage.limits):
         parts += [
             "A result beyond one of these limits stops the run, unless `allow` names the limit:",

@@ -18,6 +18,7 @@ from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.progress import Progress
 from nishiki.stages.evaluate import ClothEvaluateSettings
 from nishiki.stages.evaluate.cloth import by_incidence, in_plane, judge, plane_name
+from nishiki.stages.goniometer_samples import OUTPUTS
 
 PROJECT = Path(__file__).resolve().parents[2]
 STAMP = {"scene": "small", "stage": "cloth_evaluate", "key": "0" * 12, "version": "0.1.0"}
@@ -123,7 +124,7 @@ def inputs(tmp_path_factory):
         writer.path("cloth_brdf.json").write_text(text)
 
     made = [
-        artifact(root, "goniometer_samples", lambda writer: write_reflectances(writer.folder, measured)),
+        artifact(root, "goniometer_samples", lambda writer: write_reflectances(writer.folder, OUTPUTS, measured)),
         artifact(root, "cloth_brdf", cloth_brdf),
     ]
     return {item.stage: item for item in made}

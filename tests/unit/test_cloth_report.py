@@ -23,7 +23,7 @@ from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.progress import Progress
 from nishiki.report.svg import BOTTOM
 from nishiki.stages.evaluate import ClothEvaluateSettings
-from nishiki.stages.goniometer_samples import GoniometerSamplesSettings
+from nishiki.stages.goniometer_samples import OUTPUTS, GoniometerSamplesSettings
 from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.report import ClothReportSettings
 from nishiki.stages.report.cloth import (
@@ -69,7 +69,7 @@ def measured():
 def reflectance_of(writer):
     light = {"theta_deg": 0.0, "phi_deg": 0.0, "views": 64, "unusable": 1, "covered": 0.875, "gap_deg": 9.0}
     more = {"coverage": [{**light, "steepest_deg": 85.0}]}
-    write_reflectances(writer.folder, measured(), more=more)
+    write_reflectances(writer.folder, OUTPUTS, measured(), more=more)
     writer.path("coverage.svg").write_text('<svg viewBox="0 0 9 9"><circle cx="4" cy="4" r="3"/></svg>')
     return {"directions": 64, "incidences": 1, "normal_incidence": 64, "regions": ["cloth"], "channels": ["grey"],
             "symmetry": "quarter", "symmetry_errors": None, "weave": "satin", "noise_relative": 0.0123}  # fmt: skip

@@ -32,6 +32,7 @@ from nishiki.goniometry.interpolation import (
     trend_terms,
 )
 from nishiki.goniometry.table import BasicReflectance, Reflectances, ReflectanceSet, write_reflectances
+from nishiki.stages.goniometer_samples import OUTPUTS
 from nishiki.stages.goniometer_samples.run import coverage_plot
 
 NORMAL = np.array([0.0, 0.0, 1.0])
@@ -370,7 +371,7 @@ def test_a_set_checks_its_arrays_and_takes_rows():
 
 def test_the_store_gives_back_what_it_was_given(tmp_path):
     measured, _ = complete(normal_set(views(), lobe(views()), weave="twill", symmetry="quarter"), grid_deg=9)
-    write_reflectances(tmp_path, measured, more={"note": 1})
+    write_reflectances(tmp_path, OUTPUTS, measured, more={"note": 1})
     again = Reflectances(tmp_path)
     for name in ("incident", "outgoing", "values", "noise", "valid"):
         np.testing.assert_array_equal(getattr(again, name), getattr(measured, name))

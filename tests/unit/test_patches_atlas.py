@@ -28,6 +28,7 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.visibility import interpolate, rasterise
+from nishiki.stages.texels import OUTPUTS
 
 SIZE = 24
 
@@ -221,6 +222,7 @@ def write(folder, scene, *, lights=("",), hold_out=()):
     mesh, cameras, atlas = scene
     writer = TexelsWriter(
         folder,
+        OUTPUTS,
         mesh,
         atlas,
         cameras,

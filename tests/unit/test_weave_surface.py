@@ -12,6 +12,7 @@ from weave_rays import brute_force
 
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.goniometry.table import ReflectanceSet, write_reflectances
+from nishiki.stages.goniometer_samples import OUTPUTS
 from nishiki.stages.weave.run import cut, draw_section
 from nishiki.weave.fit import WeaveModel
 from nishiki.weave.section import WarpSection, WeftSection, WovenSurface, shade
@@ -70,7 +71,7 @@ def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
     values = np.concatenate([truth.predict(plane, theta) for plane in ("weft", "warp")])
     table = ReflectanceSet.of(lamp, view, values, weave="satin")
     with ArtifactWriter(tmp_path / "goniometer_samples" / "0") as out:
-        write_reflectances(out.folder, table)
+        write_reflectances(out.folder, OUTPUTS, table)
         names = ("scene", "stage", "key", "version", "code")
         manifest = dict(zip(names, ("cloth", "goniometer_samples", "0", "0", ""), strict=True))
         empty = {"settings": {}, "upstream": {}, "libraries": {}, "diagnostics": {}}

@@ -1,5 +1,6 @@
 """Write texel stacks and pixel samples: one view at a time, tile by tile within it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,6 +9,7 @@ import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
 
+from nishiki.artifacts.outputs import Output, output_of
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import ATLAS, FORMAT, STORE
 from nishiki.atlas.surface import PixelPlaces, object_pixels, pixel_places, sample_view, texel_points, texel_triangles
@@ -48,6 +50,7 @@ class TexelsWriter:
     def __init__(
         self,
         folder: Path,
+        outputs: Sequence[Output],
         mesh: Mesh,
         atlas: Atlas,
         cameras: list[Camera],
@@ -55,7 +58,7 @@ class TexelsWriter:
         *,
         stamp: dict[str, str],
     ):
-        self.mesh, self.atlas, self.cameras = mesh, atlas, cameras
+        self.outputs, self.mesh, self.atlas, self.cameras = outputs, mesh, atlas, cameras
         lights, components, channels, encoding, full_turn, hold_out = source
         self.lights, self.components, self.channels, self.hold_out = lights, components, channels, hold_out
         self.views, self.observations = len(cameras), len(cameras) * len(lights)
@@ -82,34 +85,28 @@ class TexelsWriter:
             },
         )
         atlas.save(Path(folder) / ATLAS)
-        self._create_arrays()
+        for output in outputs:
+            for name in dict.fromkeys(output.name.replace("COMPONENT", component) for component in components):
+                self._create(name)
         self._write_geometry()
 
-    def _create(self, name: str, shape: tuple, chunks: tuple, dtype: str, **attributes) -> None:
+    def _create(self, name: str) -> None:
+        """Create a declared array, empty along its pixels; one tile of one observation is together in a chunk."""
+        tiles, size = self.atlas.tiles, self.atlas.size
+        lengths = {"tile": tiles, "bound": tiles + 1, "row": size, "column": size, "channel": self.channels, "3": 3}
+        lengths |= {"observation": self.observations, "view": self.views, "light": len(self.lights), "pixel": 0}
+        chunks = lengths | {"tile": self.together, "observation": 1, "light": 1, "pixel": self.chunk}
+        output = output_of(self.outputs, name)
+        axes = output.axes.split()
         self.group.create_array(
             name,
-            shape=shape,
-            chunks=chunks,
-            dtype=dtype,
+            shape=[lengths[axis] for axis in axes],
+            chunks=[chunks[axis] for axis in axes],
+            dtype=output.dtype,
             compressors=[ZstdCodec(level=1, checksum=True)],
-            attributes=attributes,
+            attributes=output.attributes,
             config={"write_empty_chunks": True},
         )
-
-    def _create_arrays(self) -> None:
-        size, tiles, together = self.atlas.size, self.atlas.tiles, self.together
-        stack, part = (self.observations, tiles, size, size), (1, together, size, size)
-        for name, meaning in (("positions", "world's unit"), ("normals", "unit vectors, 0 outside the surface")):
-            self._create(name, (tiles, size, size, 3), (together, size, size, 3), "float32", meaning=meaning)
-        self._create("visible", stack, part, "uint8", meaning="1: the observation shows the texel")
-        lights, count = len(self.lights), self.channels
-        for name, dtype in (("row", "uint16"), ("column", "uint16"), ("s", "float32"), ("t", "float32")):
-            self._create(f"pixels/{name}", (0,), (self.chunk,), dtype)
-        self._create("pixels/valid", (lights, 0), (1, self.chunk), "uint8")
-        for name in self.components:
-            self._create(f"values/{name}", (*stack, count), (*part, count), "float32", unit="linear")
-            shape, chunks = (lights, 0, count), (1, self.chunk, count)
-            self._create(f"pixels/values/{name}", shape, chunks, "float32", unit="linear")
 
     def _write_geometry(self) -> None:
         triangles = texel_triangles(self.atlas)
@@ -184,7 +181,6 @@ class TexelsWriter:
 
         The mean is over the observations that show the texel, NaN where none does.
         """
-        self._create("pixels/offsets", self.offsets.shape, self.offsets.shape, "int64")
         self.group["pixels/offsets"][...] = self.offsets
         with np.errstate(invalid="ignore"):
             return np.where(self.counts[..., None] > 0, self.sums / self.counts[..., None], np.float32(np.nan))

@@ -1,7 +1,7 @@
 """Hold measured reflectances of cloths, and store them in `reflectance.npz` and `reflectance.json`."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.artifacts.outputs import Output, as_declared
 from nishiki.errors import UserError
 from nishiki.formats.files import read_json
 from nishiki.formats.stored import load_arrays
@@ -117,12 +118,14 @@ ROWS = ("incident", "outgoing", "values", "noise", "valid")
 GRID = ("theta", "phi", "values", "measured", "extrapolated")
 
 
-def write_reflectances(folder: Path, measured: ReflectanceSet, *, more: dict[str, Any] | None = None) -> None:
-    """Write both files into the folder; more: further entries of the JSON file, finite plain values."""
+def write_reflectances(
+    folder: Path, outputs: Iterable[Output], measured: ReflectanceSet, *, more: dict[str, Any] | None = None
+) -> None:
+    """Write both files into the folder, arrays as declared; more: further entries of the JSON file."""
     arrays = {name: getattr(measured, name) for name in ROWS}
     if measured.basic is not None:
         arrays |= {f"basic_{name}": getattr(measured.basic, name) for name in GRID}
-    np.savez(folder / ARRAYS, **arrays)
+    np.savez(folder / ARRAYS, **as_declared(outputs, arrays))
     names = {
         "format": FORMAT,
         "regions": list(measured.regions),

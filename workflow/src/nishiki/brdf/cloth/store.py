@@ -2,11 +2,13 @@
 
 import io
 import zipfile
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 
+from nishiki.artifacts.outputs import Output, as_declared
 from nishiki.errors import UserError
 from nishiki.formats.merl import UTIA_PHI_DEG, UTIA_THETA_DEG
 from nishiki.formats.stored import load_arrays, understood
@@ -49,7 +51,7 @@ _KIND = "kind"
 _EPOCH = (1980, 1, 1, 0, 0, 0)  # of every member: a file's bytes do not depend on when it was written
 
 
-def save_brdf(path: Path, brdf) -> None:
+def save_brdf(path: Path, brdf, outputs: Iterable[Output] = ()) -> None:
     """Write a reflection model of a cloth to a `.npz` file.
 
     The same numbers give the same bytes; nothing is pickled.
@@ -60,6 +62,8 @@ def save_brdf(path: Path, brdf) -> None:
         File to write; one that exists is replaced.
     brdf : ClothBrdf
         Model, from `nishiki.fit_cloth` for example.
+    outputs : iterable of Output
+        Declarations that its arrays follow, of a stage that writes it.
 
     Raises
     ------
@@ -81,7 +85,8 @@ def save_brdf(path: Path, brdf) -> None:
     >>> bool((again.evaluate(light, view) == cloth.evaluate(light, view)).all())
     True
     """
-    arrays = {_KIND: np.array(brdf.KIND), **brdf.as_arrays()}
+    arrays = {name: np.asarray(values) for name, values in brdf.as_arrays().items()}
+    arrays = {_KIND: np.array(brdf.KIND), **(as_declared(outputs, arrays) if outputs else arrays)}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(arrays):
             member = io.BytesIO()

@@ -151,9 +151,41 @@ class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=5, limits=CLOTH_LIM
     )
 
 
+CLOTH_OUTPUTS = (
+    Output("body", "float64", "", "yarns, facets: albedo within the fibres", "channel"),
+    Output("lambert", "float64", "", "albedo of the light that met several yarns", "channel"),
+    Output("correction", "float64", "", "factor of the gloss by the half vector", "theta phi"),
+    Output("images", "float64", "", "place of each oblique image that corrects the model", "image 4"),
+    Output("image_weights", "float64", "", "weight of the image", "image"),
+    Output("quarter", "bool", "", "mirror images in the planes of weft and warp are the same"),
+    Output("rough", "float64", "", "roughness of warp and weft, along and across the fibres", "2 2"),
+    Output("gain", "float64", "", "of all gloss"),
+    Output("index", "float64", "", "refractive index of the fibres"),
+    Output("slope", "float64", "", "facets: tangent of the tilts, warp and weft, along and across the yarn", "2 2"),
+    Output("power", "float64", "", "facets: exponent of their distribution", "2 2"),
+    Output("spacing", "float64", "", "facets: distance of the humps over their width", "2 2"),
+    Output("weft_share", "float64", "", "facets: the weft's share of the cloth's plane"),
+    Output("softness", "float64", "radians", "facets: scatter of the steepest tilts"),
+    Output("binding", "int64", "yarns", "yarns: over, under, step, together", "4"),
+    Output("spacing_ratio", "float64", "", "yarns: spacing of the weft over that of the warp"),
+    Output("fill", "float64", "", "yarns: width of a yarn over its spacing, warp and weft", "2"),
+    Output("aspect", "float64", "", "yarns: thickness over width, warp and weft", "2"),
+    Output("crimp", "float64", "", "yarns: the warp's share of the amplitudes"),
+    Output("bend", "float64", "spacings", "yarns: length on which a yarn changes sides"),
+    Output("arch", "float64", "", "yarns: rise of a float over its period"),
+    Output("tail", "float64", "", "yarns: share of GGX's long tails in the facets' distribution"),
+    Output("soft", "float64", "", "yarns: softness of the shadows' edges"),
+    Output("upright", "float64", "", "yarns: 1: sections stand across the yarn's way, 0: across the cloth"),
+    Output("values", "float64", "1/sr", "bard: reflectance at normal incidence above the diffuse", "theta phi channel"),
+    Output("diffuse", "float64", "1/sr", "bard: diffuse reflectance", "channel"),
+)
+
+
 CLOTH = Stage(
     settings=ClothBrdfSettings,
     does="reflectance for every direction of light and view",
+    outputs=CLOTH_OUTPUTS,
+    store="brdf.npz",
     geometry="goniometer",
     requires=("goniometer_samples",),
     optional_inputs=lambda settings: (

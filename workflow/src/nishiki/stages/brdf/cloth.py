@@ -22,6 +22,7 @@ from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import Reflectances, ReflectanceSet
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.sufficient import measured_choice, static_choice, with_normal_rows
+from nishiki.stages.brdf import CLOTH_OUTPUTS
 from nishiki.weave.store import read_yarns
 
 FORMAT = 1  # of the file; readers refuse others
@@ -53,16 +54,17 @@ def run(context: Context) -> dict:
     for region, (measured, fitted), errors in zip(reflectances.regions, regions, left_out, strict=True):
         folder = Path("models") / region
         for name, fit in fitted.items():
-            save_brdf(context.output.path(str(folder / f"{name}.npz")), fit.brdf)
+            save_brdf(context.output.path(str(folder / f"{name}.npz")), fit.brdf, CLOTH_OUTPUTS)
         several = len(reflectances.regions) > 1
-        save_brdf(context.output.path(f"brdf_{region}.npz" if several else "brdf.npz"), fitted[default].brdf)
+        stored = context.output.path(f"brdf_{region}.npz" if several else "brdf.npz")
+        save_brdf(stored, fitted[default].brdf, CLOTH_OUTPUTS)
         export(context, fitted[default].brdf, f"_{region}" if several else "", reflectances.channels)
         stored_facts[region] = {name: {"used": fit.used.tolist(), **fit.facts} for name, fit in fitted.items()}
         diagnostics[region] = {name: judged(measured, fit) for name, fit in fitted.items()}
         for name, error in errors.items():
             diagnostics[region][name]["left_out_error"] = error
-    stored = {"format": FORMAT, "default": default, "regions": list(reflectances.regions), "models": stored_facts}
-    text = json.dumps(stored, indent=1, sort_keys=True, allow_nan=False)
+    listing = {"format": FORMAT, "default": default, "regions": list(reflectances.regions), "models": stored_facts}
+    text = json.dumps(listing, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("cloth_brdf.json").write_text(text + "\n")
     return {"default": default, "regions": diagnostics, "economy": economy(decision)}
 

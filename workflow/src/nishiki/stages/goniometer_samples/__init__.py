@@ -6,6 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at, extreme, share
+from nishiki.artifacts.outputs import Output
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
 
 LIMITS = (
@@ -93,9 +94,25 @@ class GoniometerSamplesSettings(Guarded, stage="goniometer_samples", version=2, 
     )
 
 
+OUTPUTS = (
+    Output("incident", "float64", "unit vector", "to the light; x weft, y warp, z normal", "pair 3"),
+    Output("outgoing", "float64", "unit vector", "to the camera", "pair 3"),
+    Output("values", "float64", "1/sr", "reflectance, 0 where not valid", "pair region channel"),
+    Output("noise", "float64", "1/sr", "standard deviation of the mean, 0 where unknown", "pair region channel"),
+    Output("valid", "bool", "", "usable", "pair region"),
+    Output("basic_theta", "float64", "radians", "polar angles of the views under light along the normal", "theta"),
+    Output("basic_phi", "float64", "radians", "their azimuths", "phi"),
+    Output("basic_values", "float64", "1/sr", "reflectance over the hemisphere", "region theta phi channel"),
+    Output("basic_measured", "bool", "", "a view or its mirror image lies in the cell", "theta phi"),
+    Output("basic_extrapolated", "bool", "", "beyond the outermost view of its azimuth", "theta phi"),
+)
+
+
 STAGE = Stage(
     settings=GoniometerSamplesSettings,
     does="photographs by direction to reflectance, over the whole hemisphere",
+    outputs=OUTPUTS,
+    store="reflectance.npz",
     geometry="goniometer",
     requires=("ingest",),
     # Asked for by name the reflectances themselves are wanted, all of them. A light within normal_deg counts as along

@@ -22,6 +22,7 @@ from nishiki.goniometry.readings import Averaged, Readings, Regions, average_rep
 from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.observations.goniometer_store import Measurements
 from nishiki.report.svg import GRID, INK, PALETTE, SOFT, Drawing
+from nishiki.stages.goniometer_samples import OUTPUTS
 
 
 def run(context: Context) -> dict:
@@ -63,7 +64,7 @@ def run(context: Context) -> dict:
     covered = coverage(measured)
     context.output.path("coverage.svg").write_text(coverage_plot(measured, covered))
     report = {"stamp": context.stamp, "coverage": [light.as_dict() for light in covered]}
-    write_reflectances(context.output.folder, measured, more=report)
+    write_reflectances(context.output.folder, OUTPUTS, measured, more=report)
     return diagnostics(measured, averaged, readings, made, covered) | {"symmetry_errors": symmetry_errors}
 
 

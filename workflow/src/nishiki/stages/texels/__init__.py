@@ -4,6 +4,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.limits import Limit, at
+from nishiki.artifacts.outputs import Output
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, photographs_or_states
 
 LIMITS = (
@@ -37,7 +38,7 @@ LIMITS = (
 )
 
 
-class TexelsSettings(Guarded, stage="texels", version=1, limits=LIMITS):
+class TexelsSettings(Guarded, stage="texels", version=2, limits=LIMITS):
     """Charts and tiles of the surface, density of its samples, and limits of visibility."""
 
     texels_per_pixel: float = Field(
@@ -47,9 +48,29 @@ class TexelsSettings(Guarded, stage="texels", version=1, limits=LIMITS):
     hold_out: tuple[str, ...] = Field((), description="views that take no part; filled in by the plan")
 
 
+OUTPUTS = (
+    Output("positions", "float32", "of the capture", "place of each texel, 0 outside the surface", "tile row column 3"),
+    Output("normals", "float32", "unit vector", "of the surface, 0 outside it", "tile row column 3"),
+    Output("visible", "uint8", "", "1: the observation shows the texel", "observation tile row column"),
+    Output(
+        "values/COMPONENT", "float32", "linear", "light of the texel, 0 where not visible",
+        "observation tile row column channel",
+    ),
+    Output("pixels/row", "uint16", "pixels", "row in the photograph of each object pixel, by view and tile", "pixel"),
+    Output("pixels/column", "uint16", "pixels", "column in the photograph", "pixel"),
+    Output("pixels/s", "float32", "texels", "row within the tile", "pixel"),
+    Output("pixels/t", "float32", "texels", "column within the tile", "pixel"),
+    Output("pixels/valid", "uint8", "", "1: usable, in all channels", "light pixel"),
+    Output("pixels/values/COMPONENT", "float32", "linear", "light of the pixel", "light pixel channel"),
+    Output("pixels/offsets", "int64", "pixels", "first pixel of each tile, and the end of the last", "view bound"),
+)  # fmt: skip
+
+
 STAGE = Stage(
     settings=TexelsSettings,
     does="what every view shows of every patch of the surface",
+    outputs=OUTPUTS,
+    store="texels.zarr",
     geometry="turntable",
     requires=("ingest", "cameras", "mesh"),
     optional_inputs=lambda settings: ("polarise",),

@@ -21,7 +21,7 @@ from nishiki.formats.stored import open_array
 from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.observations.views import Views, encode
-from nishiki.stages.texels import TexelsSettings
+from nishiki.stages.texels import OUTPUTS, TexelsSettings
 
 
 def run(context: Context) -> dict:
@@ -37,6 +37,7 @@ def run(context: Context) -> dict:
     source = Pictures(context.inputs)
     writer = TexelsWriter(
         context.output.folder,
+        OUTPUTS,
         mesh,
         atlas,
         cameras,
