@@ -84,6 +84,7 @@ def test_the_jacobian_is_that_of_dense_differences(even):
 def test_outlines_alone_give_focal_length_tilt_and_sense(even, backwards):
     found = estimate(even[::-1] if backwards else even)
     assert found.steps == "equal"
+    assert not found.uneven_steps_deg
     assert abs(found.focal_px / FOCAL - 1) < max(0.03, 2.5 * found.focal_sd_px / FOCAL)
     assert found.tilt_deg == pytest.approx(np.degrees(TILT), abs=0.5)
     assert np.sign(found.angles_deg[1]) == (-1 if backwards else 1)
@@ -120,9 +121,11 @@ def test_unequal_steps_are_found(fault):
     assert found.steps == "free"
     assert np.abs(error - np.median(error)).max() < max(1.0, 3 * found.angle_sd_deg)
     assert found.left_out_px < 0.7 * found.left_out_equal_px
+    odd = {"missing": ["6 to 7"], "slipped": ["8 to 9", "17 to 0"], "twice": ["5 to 6"]}[fault]
+    assert list(found.uneven_steps_deg) == odd
 
 
-@pytest.mark.parametrize("body", ["round", "nearly", "still", "few", "empty"])
+@pytest.mark.parametrize("body", ["round", "nearly", "still", "few", "empty", "cut"])
 def test_what_is_not_determined_is_refused(even, body):
     masks = {
         "round": lambda: outlines(EVEN, (((0.0, 0.0, 0.0), 0.7),)),
@@ -131,6 +134,7 @@ def test_what_is_not_determined_is_refused(even, body):
         "still": lambda: [even[0]] * 18,
         "few": lambda: even[:7],
         "empty": lambda: [*even[:-1], np.zeros_like(even[0])],
+        "cut": lambda: [mask[60:] for mask in even],
     }[body]()
     with pytest.raises(UserError):
         estimate(masks)

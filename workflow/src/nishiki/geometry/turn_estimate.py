@@ -45,6 +45,8 @@ LEAST_RATIO = 1.2
 
 A simulated jar in 12 views of 96 pixels was estimated in the wrong sense at 1.07; right ones had 1.35 and more.
 """
+UNEVEN_SIGMAS = 5.0
+"""Deviation of a step from the median step, in standard deviations of the steps, from which the step is reported."""
 LEAST_COST = 0.1  # of a residual, counted so that two senses that both fit far within the noise are alike
 MOST_FOCAL_SD, MOST_ANGLE_SD_DEG = 0.15, 2.0
 MOST_ERROR = 0.02
@@ -82,6 +84,7 @@ class TurnEstimate(PlainFields):
     steps: str  # "equal" or "free"
     angles_deg: tuple[float, ...]  # (views,) from the first
     angle_sd_deg: float  # of the least certain view; 0 where steps are equal
+    uneven_steps_deg: dict[str, float]  # steps unlike the others, by "view to view"
     outline_px: float  # robust standard deviation of residuals
     match_px: float | None
     matches: int  # features in two views that were used
@@ -461,6 +464,12 @@ def estimate_turn(
     empty = [name for name, mask in zip(names, masks, strict=True) if not mask.any()]
     if empty:
         raise UserError(f"cameras: no outline of the object was found in view {', '.join(empty[:5])}. {REMEDY}")
+    cut = [n for n, mask in zip(names, masks, strict=True) if mask[[0, -1]].any() or mask[:, [0, -1]].any()]
+    if cut:
+        raise UserError(
+            f"cameras: the border of the picture cuts the object in view {', '.join(cut[:5])}; whole outlines "
+            f"are needed. {REMEDY}"
+        )
     matches = match_features(greys, masks)
     evidence = Evidence(masks, matches, intrinsics, distortion)
     focal = None if intrinsics is None else float(intrinsics[0, 0]) / evidence.side
@@ -494,6 +503,9 @@ def estimate_turn(
             f"cameras: the photographs do not determine the cameras (focal length to {100 * deviation[0]:.2g} %, "
             f"angles to {angle_sd:.2g} degrees): the object is too round and too smooth. {REMEDY}"
         )
+    steps_deg = np.degrees(np.diff(fit.sense * fit.angles, append=2 * np.pi))
+    deviations = np.abs(steps_deg - np.median(steps_deg))
+    scatter = max(1.4826 * float(np.median(deviations)), np.sqrt(2) * angle_sd)
     matrix = intrinsics
     if matrix is None:
         pixels = evidence.side * np.exp(fit.start[0])
@@ -515,6 +527,11 @@ def estimate_turn(
         steps="free" if fit.free else "equal",
         angles_deg=tuple(np.degrees(fit.angles).tolist()),
         angle_sd_deg=angle_sd,
+        uneven_steps_deg={
+            f"{name} to {after}": float(step)
+            for name, after, step, deviation in zip(names, [*names[1:], names[0]], steps_deg, deviations, strict=True)
+            if fit.free and deviation > UNEVEN_SIGMAS * scatter
+        },
         outline_px=float(fit.sigmas[0]),
         match_px=float(fit.sigmas[1]) if len(matches.views) else None,
         matches=len(matches.views),

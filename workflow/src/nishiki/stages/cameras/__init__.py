@@ -16,6 +16,11 @@ def _pose_outliers(diagnostics: Mapping[str, Any]) -> float | None:
     return max(shares) if shares else None
 
 
+def _uneven_steps(diagnostics: Mapping[str, Any]) -> float | None:
+    estimate = diagnostics.get("estimate") or {}
+    return float(len(estimate["uneven_steps_deg"])) if "uneven_steps_deg" in estimate else None
+
+
 LIMITS = (
     Limit(
         "reprojection",
@@ -43,6 +48,16 @@ LIMITS = (
         doubt=0.34,
         remedy="pick the points of that view again",
         why="a third wrong was mended in simulated views; with half of the points wrong another half could be as right",
+    ),
+    Limit(
+        "uneven_steps",
+        "number of steps between neighbouring views that are unlike the others",
+        _uneven_steps,
+        most=0,
+        warns=True,
+        remedy="compare the photographs on both sides of the steps that the report names: a missing, repeated or "
+        "exchanged photograph, or a table that slipped",
+        why="turns by equal steps gave 0; one missing, repeated or slipped view gave 1 or 2",
     ),
 )
 

@@ -255,9 +255,11 @@ def cameras_section(data: SceneData) -> Section:
         "Dots: views; open diamonds: views left out; rings: 30°, 60° and 90° from the axis. In the object's own frame, "
         "the camera goes round."
     )
+    uneven = at(diagnostics, "estimate", "uneven_steps_deg") or {}
+    named = [(f"step unlike the others, {views}, degrees", step) for views, step in uneven.items()]
     return Section("cameras", "Cameras", [
         Figures([Figure("The turn, seen along its axis", caption, svg=drawing)]),
-        Table((), fact_rows(diagnostics, CAMERAS), "wr"),
+        Table((), [*fact_rows(diagnostics, CAMERAS), *named], "wr"),
     ])  # fmt: skip
 
 
