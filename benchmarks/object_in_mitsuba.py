@@ -29,10 +29,10 @@ from nishiki.artifacts.artifact import open_artifact
 from nishiki.atlas.surface import texel_points
 from nishiki.brdf.texels.model import predict
 from nishiki.colour.colour import decode, encode
+from nishiki.formats.textured_surface import sample
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.stages.export.object_look import SeenPoints, TextureAtlas, sample, texture_atlas
-from nishiki.stages.export.object_renderers import model_textures
+from nishiki.stages.export.object_look import SeenPoints, TextureAtlas, model_textures, texture_atlas
 from nishiki.stages.export.registry import METRES
 
 DARK = 1e-6

@@ -8,9 +8,9 @@ from pathlib import Path
 from archives import write_scene
 
 from nishiki.archive.audit import Damage
-from nishiki.archive.crate import PackedScene
 from nishiki.archive.crate_audit import CrateAudit, audit_crate
 from nishiki.archive.pack import pack
+from nishiki.artifacts.packed import PackedScene
 from nishiki.artifacts.provenance import stage_program
 from nishiki.capture.seal import capture_digest, seal
 

@@ -11,13 +11,12 @@ from npm_packages import npm_folder
 from rdflib.namespace import RDF, RDFS
 from refusals import expect_facts, refused
 
-from nishiki.archive.crate import METADATA, TECHNIQUES, PackedScene, PackedStage, capture_method, is_address
-from nishiki.archive.crate_metadata import _rights_id
-from nishiki.archive.museums import CONTEXT, crm_graph, lido_text
-from nishiki.archive.pack import _json
+from nishiki.archive.crate import _rights_id, capture_method
+from nishiki.artifacts.packed import METADATA, TECHNIQUES, PackedScene, PackedStage, is_address, json_text
 from nishiki.capture.folder import CaptureFile
 from nishiki.capture.goniometer import GoniometerFile
 from nishiki.capture.turntable import TurntableFile
+from nishiki.optional_formats.museums import CONTEXT, crm_graph, lido_text
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning:rdflib")  # of its own parsers
 LIDO = {"lido": "http://www.lido-schema.org"}
@@ -145,7 +144,7 @@ def test_a_date_in_words_stays_words():
     root = record(digitised({"date": "2026-01-31 to 02-02"}))
     assert texts(root, "displayDate") == ["2026-01-31 to 02-02"] * 2
     assert texts(root, "earliestDate") == []
-    assert "P82a" not in _json(crm_graph(digitised({"date": "2026-01-31 to 02-02"})))
+    assert "P82a" not in json_text(crm_graph(digitised({"date": "2026-01-31 to 02-02"})))
 
 
 @pytest.mark.parametrize("text", ["20260131", "2026-W05-6", "2026-01-31 10:00", "2026-01-31T10:00:00+02:00"])
@@ -191,7 +190,7 @@ def test_the_method_is_read_from_capture_yaml_of_each_geometry():
 
 
 def graph(scene):
-    return rdflib.Graph().parse(data=_json(crm_graph(scene)), format="json-ld", publicID=CRATE + "cidoc-crm.jsonld")
+    return rdflib.Graph().parse(data=json_text(crm_graph(scene)), format="json-ld", publicID=CRATE + "cidoc-crm.jsonld")
 
 
 def short(node):

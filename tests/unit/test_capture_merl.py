@@ -10,10 +10,19 @@ from refusals import refused
 
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.goniometer_tables import MERL_LIGHTS, MERL_VIEWS
-from nishiki.formats.merl import MERL_BYTES, MERL_SCALE, MERL_SHAPE, merl_bytes, merl_directions, merl_values, read_merl
 from nishiki.formats.problems import CaptureError
-from nishiki.stages.export.painting import brdf_of
+from nishiki.optional_formats.reflectance_tables import (
+    MERL_BYTES,
+    MERL_LIGHTS,
+    MERL_SCALE,
+    MERL_SHAPE,
+    MERL_VIEWS,
+    brdf_of,
+    merl_bytes,
+    merl_directions,
+    merl_values,
+    read_merl,
+)
 
 COLOUR = np.array([0.4, 0.3, 0.2])
 MATERIAL = {

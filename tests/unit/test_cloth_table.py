@@ -6,9 +6,10 @@ from benchmarks.cloth_peers import Ggx, fit_peer, peer_of
 from benchmarks.cloth_references import TILTS, TURNS, read_facets, smith_masking
 
 from nishiki.brdf.cloth.interface import halves, hemisphere, prediction_error, reciprocity_error
-from nishiki.brdf.cloth.store import goniometer_rows, utia_planes
+from nishiki.brdf.cloth.store import goniometer_rows
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.interpolation import evaluate
+from nishiki.optional_formats.reflectance_tables import utia_planes
 
 GLOSSY = Ggx(np.array([0.2]), np.array([1.0]), 0.3, 0.5, 1.5)
 

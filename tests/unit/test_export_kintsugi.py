@@ -12,9 +12,9 @@ from PIL import Image
 
 from nishiki.brdf.texels.model import predict
 from nishiki.colour.colour import decode, encode
-from nishiki.stages.export import object_renderers as kintsugi
-from nishiki.stages.export.object_look import ObjectSurface, SeenPoints, object_mesh, sample
-from nishiki.stages.export.object_renderers import LobeBasis, lobes
+from nishiki.formats.textured_surface import sample
+from nishiki.optional_formats.kintsugi import LobeBasis, lobes, write_kintsugi
+from nishiki.stages.export.object_look import ObjectSurface, SeenPoints, object_mesh
 
 STAMP = {"version": "1", "scene": "ball", "key": "0123456789ab"}
 
@@ -26,15 +26,15 @@ def exported(tmp_path_factory):
     folder = tmp_path_factory.mktemp("kintsugi")
     (folder / "exports/kintsugi").mkdir(parents=True)
     context.stamp, context.output = STAMP, SimpleNamespace(path=lambda file: folder / file)
-    gltf_look = ObjectSurface.gltf_look.fget(SimpleNamespace(look=look))
-    surface = SimpleNamespace(
-        look=look, gltf_look=gltf_look, mesh=object_mesh(context, look), unit="metres", context=context
-    )
     asked = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(kintsugi, "model_textures", lambda *_: model)
-        patch.setattr(kintsugi, "against_photographs", lambda _, __, found: asked.update(found) or {})
-        kintsugi.write_kintsugi(context, surface)
+
+    class Ball(ObjectSurface):
+        mesh, unit = object_mesh(context, look), "metres"
+        compare = staticmethod(lambda shown: asked.update(shown) or {})
+
+    surface = Ball(context)
+    surface.look, surface.model = look, model
+    write_kintsugi(context, surface)
     return SimpleNamespace(look=look, model=model, folder=folder / "exports/kintsugi", shown=asked)
 
 

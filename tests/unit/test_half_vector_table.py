@@ -7,7 +7,7 @@ import pytest
 from benchmarks.cloth_peers import Ward
 
 from nishiki.brdf.half_vector_table import HalfVectorTable, unwarped, warped
-from nishiki.formats.merl import bsdf_bytes
+from nishiki.optional_formats.reflectance_tables import bsdf_bytes
 
 WARD = Ward(diffuse=np.array([0.05, 0.04, 0.1]), specular=np.full(3, 0.2), alpha_x=0.5, alpha_y=0.2)
 FINE = 400

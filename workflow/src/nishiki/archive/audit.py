@@ -13,9 +13,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nishiki.archive.crate import METADATA
 from nishiki.archive.tree import FolderTree, Listing, Tree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, index_text, is_digest, parse_manifest, run_problem
+from nishiki.artifacts.packed import METADATA
 from nishiki.artifacts.provenance import UPSTREAM, file_digest, place_above, stage_key
 from nishiki.engine.project import SWEEPS
 from nishiki.errors import printable

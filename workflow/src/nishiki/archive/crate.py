@@ -1,21 +1,21 @@
-"""Describe one packed stage and its digitisation in the words that all parts of a crate share."""
+"""Describe a packed scene in JSON-LD after the profile Provenance Run Crate 0.5 of RO-Crate 1.1, and its manifest.
+
+A function of what is packed: the same artifacts give the same bytes. https://www.researchobject.org/workflow-run-crate
+"""
 
 import re
-from collections.abc import Iterable
-from dataclasses import dataclass, field
-from datetime import date as Date
-from datetime import datetime, timedelta
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
-from nishiki.artifacts.artifact import Artifact, is_inside
+from nishiki.artifacts.artifact import is_inside
+from nishiki.artifacts.packed import METADATA, Entity, PackedScene, PackedStage, ended, ids, is_address, started
 from nishiki.artifacts.provenance import canonical, stage_program
-from nishiki.capture.schema import Session
+from nishiki.capture.schema import OBJECT_FACTS, Session
 from nishiki.errors import UserError
 from nishiki.formats.files import name_fault
+from nishiki.optional_formats.museums import RECORDS
 
-METADATA = "ro-crate-metadata.json"
 BIOSCHEMAS = "https://bioschemas.org/profiles/"
 PROJECT_LICENCE = "https://spdx.org/licenses/BSD-3-Clause"
 FORMATS = {
@@ -37,18 +37,16 @@ FORMATS = {
     ".md": "text/markdown",
     ".txt": "text/plain",
 }
-Entity = dict[str, Any]
-
-
-def ids(names: Iterable[str]) -> list[Entity] | Entity:
-    """Return references to entities; a single one stands without a list, as in the compact form."""
-    references = [{"@id": name} for name in names]
-    return references[0] if len(references) == 1 else references
-
-
-def is_address(text: str | None) -> bool:
-    """Test if a text, such as the rights in capture.yaml, is an address on the web and can identify what it says."""
-    return bool(text and re.fullmatch(r"https?://[^\s<>\"]+", text))
+CONTEXT = ["https://w3id.org/ro/crate/1.1/context", "https://w3id.org/ro/terms/workflow-run/context"]
+RO_CRATE = "https://w3id.org/ro/crate/1.1"
+WORKFLOW = "https://w3id.org/workflowhub/workflow-ro-crate/1.0"
+PROFILES = {
+    "https://w3id.org/ro/wfrun/process/0.5": ("Process Run Crate", "0.5"),
+    "https://w3id.org/ro/wfrun/workflow/0.5": ("Workflow Run Crate", "0.5"),
+    "https://w3id.org/ro/wfrun/provenance/0.5": ("Provenance Run Crate", "0.5"),
+    WORKFLOW: ("Workflow RO-Crate", "1.0"),
+}
+MAIN, LOCK = "code/Snakefile", "code/uv.lock"
 
 
 def quoted(name: str) -> str:
@@ -90,32 +88,215 @@ def parse_manifest_text(data: bytes) -> dict[str, str]:
     return digests
 
 
-@dataclass(frozen=True)
-class PackedStage:
-    """Describe one packed artifact."""
+def capture_method(described: Session) -> dict[str, Any]:
+    """Return how a capture was made, from its capture.yaml: `geometry`, `camera`, `pixel_pitch_mm`."""
+    scaled = getattr(described, "goniometer", described)
+    return {
+        "geometry": getattr(described, "geometry", None),
+        "camera": described.camera.model,
+        "pixel_pitch_mm": getattr(scaled, "pixel_pitch_mm", None),
+    }
 
-    manifest: dict[str, Any]  # artifact.json
-    run: dict[str, Any]  # facts of its run
-    same_code: bool  # whether the packed code made it
-    does: str  # purpose of the stage
-    files: dict[str, tuple[int, str]]  # bytes and SHA-256 of artifact.json and run.json
-    name: str  # that of the stage, after its field where it is one of a mosaic's: FIELD/STAGE
 
-    @property
-    def stage(self) -> str:
-        """Name of the stage."""
-        return self.manifest["stage"]
+def metadata(scene: PackedScene, others: list[str]) -> Entity:
+    """Build the whole description; others: names of further files of the crate."""
+    stages = scene.stages
+    profiles = ids([RO_CRATE, WORKFLOW])
+    graph = [
+        {"@id": METADATA, "@type": "CreativeWork", "about": {"@id": "./"}, "conformsTo": profiles},
+        _root(scene, others),
+        *(
+            {"@id": name, "@type": "CreativeWork", "name": title, "version": number}
+            for name, (title, number) in PROFILES.items()
+        ),
+        *_people_and_rights(scene),
+        *_workflow(scene, locked=LOCK in others),
+        _capture(scene),
+        *(entity for number, stage in enumerate(stages) for entity in stage_entities(stage, number)),
+        *_workflow_run(scene, locked=LOCK in others),
+        *library_entities(stages),
+        *(_other(name) for name in others),
+    ]
+    return {"@context": CONTEXT, "@graph": list({entity["@id"]: entity for entity in graph}.values())}
 
-    @property
-    def folder(self) -> str:
-        """Folder of the artifact inside the crate, with a slash at its end."""
-        return f"artifacts/{self.name}/{self.manifest['key']}/"
 
-    @property
-    def sources(self) -> list[str]:
-        """Folders of what it was made from, inside the crate."""
-        above, own = self.manifest["upstream"], self.name.removesuffix(self.stage)
-        return ["capture/" if name == "capture" else f"artifacts/{own}{name}/{above[name]['key']}/" for name in above]
+def _other(name: str) -> Entity:
+    entity: Entity = {"@id": name, "@type": "File", "name": name, "encodingFormat": media_type(name)}
+    if name in RECORDS:
+        entity["description"] = f"Object and digitisation in the words of museums: {RECORDS[name].standard}"
+    if name in ("README.md", *RECORDS):
+        entity["about"] = {"@id": "./"}
+    return entity
+
+
+def last_end(stages: list[PackedStage]) -> str:
+    """Return when the last stage ended, ISO 8601."""
+    return max(ended(stage) for stage in stages)
+
+
+def _root(scene: PackedScene, others: list[str]) -> Entity:
+    stages = scene.stages
+    root = {
+        "@id": "./",
+        "@type": "Dataset",
+        "name": scene.said("title") or scene.name,
+        "description": f"Scene {scene.name}: from photographs under controlled light to the appearance of an object. "
+        f"{len(stages)} results with everything that they were made from, each under a key that follows from its "
+        "settings and from the keys of what it was made from.",
+        "datePublished": last_end(stages),
+        "license": {"@id": _rights_id(scene.said("rights"))},
+        "conformsTo": ids(PROFILES),
+        "mainEntity": {"@id": MAIN},
+        "hasPart": ids(["capture/", MAIN, "code/", *_scripts(stages), *(stage.folder for stage in stages), *others]),
+        "mentions": ids(["#run", "#engine-run", *(f"#run-{stage.name}" for stage in stages)]),
+    }
+    if scene.said("creator"):
+        root["author"] = {"@id": "#creator"}
+    if _says_of_object(scene):
+        root["about"] = {"@id": "#object"}
+    return root
+
+
+def _people_and_rights(scene: PackedScene) -> list[Entity]:
+    rights = scene.said("rights")
+    entities: list[Entity] = [
+        {
+            "@id": _rights_id(rights),
+            "@type": "CreativeWork",
+            "name": rights or "No rights are stated",
+            "description": "Rights in the photographs and in what was made from them, as capture.yaml states them."
+            if rights
+            else "capture.yaml states no rights in the photographs; ask their owner.",
+        },
+        {"@id": PROJECT_LICENCE, "@type": "CreativeWork", "name": "BSD 3-Clause License"},
+    ]
+    if scene.said("creator"):
+        entities.append({"@id": "#creator", "@type": "Person", "name": scene.said("creator")})
+    if _says_of_object(scene):
+        entities.append(_object(scene))
+    return entities
+
+
+def _says_of_object(scene: PackedScene) -> bool:
+    return any(scene.said(key) for key in ("object_id", *OBJECT_FACTS))
+
+
+def _object(scene: PackedScene) -> Entity:
+    """Describe the object; properties that schema.org has for works of art alone are given in words."""
+    entity: Entity = {"@id": "#object", "@type": "Thing"}
+    entity["name"] = scene.said("title") or scene.said("object_id") or "Object"
+    if scene.said("object_id"):
+        entity["identifier"] = scene.said("object_id")
+    facts = [f"{label}: {scene.said(key)}" for key, label in OBJECT_FACTS.items() if scene.said(key)]
+    if facts:
+        entity["description"] = ". ".join(facts)
+    return entity
+
+
+def _rights_id(rights: str) -> str:
+    return rights if is_address(rights) else "#rights"
+
+
+def _capture(scene: PackedScene) -> Entity:
+    what = "The sealed capture: a BagIt bag (RFC 8493) with the photographs, lights, cameras and tables."
+    without = "The manifest of the sealed capture (BagIt, RFC 8493): names and SHA-256; the files are kept elsewhere."
+    entity: Entity = {
+        "@id": "capture/",
+        "@type": "Dataset",
+        "name": "Capture",
+        "description": what if scene.with_capture else without,
+        "identifier": f"sha256:{scene.digest}",
+        "license": {"@id": _rights_id(scene.said("rights"))},
+        "exampleOfWork": {"@id": "#parameter-capture"},
+    }
+    if scene.said("date"):
+        entity["dateCreated"] = scene.said("date")
+    if scene.said("creator"):
+        entity["creator"] = {"@id": "#creator"}
+    if scene.said("notes"):
+        entity["disambiguatingDescription"] = scene.said("notes")
+    return entity
+
+
+def _workflow(scene: PackedScene, *, locked: bool) -> list[Entity]:
+    stages = scene.stages
+    code = "The workflow's code" + (", and the lock of all libraries" if locked else "")
+    return [
+        {
+            "@id": MAIN,
+            "@type": ["File", "SoftwareSourceCode", "ComputationalWorkflow", "HowTo"],
+            "name": "Nishiki",
+            "description": "From photographs under controlled light to the appearance of an object",
+            "version": scene.version,
+            "license": {"@id": PROJECT_LICENCE},
+            "conformsTo": {"@id": f"{BIOSCHEMAS}ComputationalWorkflow/1.0-RELEASE"},
+            "encodingFormat": "text/plain",
+            "programmingLanguage": {"@id": "#snakemake"},
+            "hasPart": ids(_scripts(stages)),
+            "step": ids(f"#step-{stage.name}" for stage in stages),
+            "input": {"@id": "#parameter-capture"},
+            "output": ids(f"#parameter-{stage.name}" for stage in stages),
+        },
+        {
+            "@id": "#snakemake",
+            "@type": "ComputerLanguage",
+            "name": "Snakemake",
+            "identifier": {"@id": "https://doi.org/10.1093/bioinformatics/bts480"},
+            "url": {"@id": "https://snakemake.readthedocs.io"},
+        },
+        {"@id": "code/", "@type": "Dataset", "name": code},
+        _parameter("capture", "capture/"),
+        *(_parameter(stage.name, stage.folder) for stage in stages),
+    ]
+
+
+def _parameter(name: str, example: str) -> Entity:
+    return {
+        "@id": f"#parameter-{name}",
+        "@type": "FormalParameter",
+        "name": name,
+        "additionalType": "Dataset",
+        "conformsTo": {"@id": f"{BIOSCHEMAS}FormalParameter/1.0-RELEASE"},
+        "workExample": {"@id": example},
+    }
+
+
+def _workflow_run(scene: PackedScene, *, locked: bool) -> list[Entity]:
+    stages = scene.stages
+    engine = {"softwareVersion": f"the version in {LOCK}"} if locked else {}  # an installation has no lock
+    return [
+        {
+            "@id": "#run",
+            "@type": "CreateAction",
+            "name": f"Digitisation of {scene.name}",
+            "description": "All stages of the scene. They may have run in several sessions.",
+            "instrument": {"@id": MAIN},
+            "object": {"@id": "capture/"},
+            "result": ids(stage.folder for stage in stages),
+            "startTime": min(started(stage) for stage in stages),
+            "endTime": last_end(stages),
+            "actionStatus": "http://schema.org/CompletedActionStatus",
+        },
+        {
+            "@id": "#engine-run",
+            "@type": "OrganizeAction",
+            "name": "Run of Snakemake",
+            "instrument": {"@id": "https://snakemake.github.io"},
+            "object": ids(f"#control-{stage.name}" for stage in stages),
+            "result": {"@id": "#run"},
+        },
+        {
+            "@id": "https://snakemake.github.io",
+            "@type": "SoftwareApplication",
+            "name": "Snakemake",
+            "url": "https://snakemake.github.io",
+            **engine,
+        },
+    ]
+
+
+def _scripts(stages: list[PackedStage]) -> list[str]:
+    return list(dict.fromkeys(f"code/{stage_program(stage.stage)}" for stage in stages))
 
 
 def stage_entities(stage: PackedStage, number: int) -> list[Entity]:
@@ -167,17 +348,6 @@ def stage_entities(stage: PackedStage, number: int) -> list[Entity]:
         },
         *_artifact(stage),
     ]
-
-
-def started(stage: PackedStage) -> str:
-    """Return when a stage began, ISO 8601."""
-    end = datetime.fromisoformat(stage.run["finished"])
-    return (end - timedelta(seconds=float(stage.run["seconds"]))).isoformat(timespec="seconds")
-
-
-def ended(stage: PackedStage) -> str:
-    """Return when a stage ended, ISO 8601."""
-    return datetime.fromisoformat(stage.run["finished"]).isoformat(timespec="seconds")
 
 
 def _artifact(stage: PackedStage) -> list[Entity]:
@@ -232,82 +402,3 @@ def library_entities(stages: list[PackedStage]) -> list[Entity]:
 
 def _library_id(name: str, version: str) -> str:
     return f"https://pypi.org/project/{name}/{version}/"
-
-
-TECHNIQUES = {
-    "plane": "photographs of one view under several lamps in turn",
-    "turntable": "photographs from several sides, or under several states of a polariser",
-    "goniometer": "measurement of reflectance under many directions of light and view",
-}
-"""How a capture of each geometry is made, in words."""
-
-
-def capture_method(described: Session) -> dict[str, Any]:
-    """Return how a capture was made, from its capture.yaml: `geometry`, `camera`, `pixel_pitch_mm`."""
-    scaled = getattr(described, "goniometer", described)
-    return {
-        "geometry": getattr(described, "geometry", None),
-        "camera": described.camera.model,
-        "pixel_pitch_mm": getattr(scaled, "pixel_pitch_mm", None),
-    }
-
-
-@dataclass(frozen=True)
-class PackedScene:
-    """Collect the contents of a crate: one digitised scene."""
-
-    name: str
-    version: str  # of this program
-    artifacts: list[Artifact]  # in the order of the flow
-    capture: Path  # the sealed folder
-    digest: str  # of the capture
-    # what capture.yaml says under the keys of `ABOUT`; None or empty where nothing is said
-    about: dict[str, str | None]
-    facts: dict[str, Any]  # further facts of the plan as plain data
-    does: dict[str, str]  # purposes of the stages
-    method: dict[str, Any] = field(default_factory=dict)  # how the capture was made (`capture_method`)
-    stages: list[PackedStage] = field(default_factory=list)  # the artifacts as they are packed
-    with_capture: bool = True
-
-    def said(self, key: str) -> str:
-        """Return the value of capture.yaml under a key of `about`; empty where it is missing."""
-        return self.about.get(key) or ""
-
-    @property
-    def technique(self) -> str:
-        """How the photographs were taken, in words; empty where the geometry is unknown."""
-        return TECHNIQUES.get(self.method.get("geometry", ""), "")
-
-    @property
-    def camera(self) -> str:
-        """Model of the camera; empty where nothing is said."""
-        return self.method.get("camera") or ""
-
-    @property
-    def scale(self) -> str:
-        """Distance of two pixels on the object, in words; empty where nothing is said."""
-        pitch = self.method.get("pixel_pitch_mm")
-        return f"a pixel is {pitch:g} mm on the object" if pitch else ""
-
-
-def days_of(text: str) -> tuple[str, str] | None:
-    """Return first and last moment of an ISO 8601 date, or of a date with time; None for any other text.
-
-    Examples
-    --------
-    >>> days_of("2026-01-31")
-    ('2026-01-31T00:00:00', '2026-01-31T23:59:59')
-    >>> days_of("2026-01-31, in two sessions") is None
-    True
-    """
-    try:
-        day = Date.fromisoformat(text)
-    except ValueError:
-        pass
-    else:
-        return f"{day.isoformat()}T00:00:00", f"{day.isoformat()}T23:59:59"
-    try:
-        moment = datetime.fromisoformat(text).isoformat()
-    except ValueError:
-        return None
-    return moment, moment

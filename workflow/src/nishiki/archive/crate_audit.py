@@ -14,10 +14,11 @@ from pathlib import Path
 from zipfile import BadZipFile
 
 from nishiki.archive.audit import CAPTURE, Damage, Survey, survey_artifact
-from nishiki.archive.crate import MANIFEST, METADATA, parse_manifest_text
+from nishiki.archive.crate import MANIFEST, parse_manifest_text
 from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import is_inside
+from nishiki.artifacts.packed import METADATA
 from nishiki.artifacts.provenance import scene_of_field
 from nishiki.formats.files import name_fault
 from nishiki.threads import in_threads

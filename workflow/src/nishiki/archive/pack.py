@@ -5,23 +5,21 @@ artifacts give the same bytes: names are sorted, and no time is written that the
 """
 
 import hashlib
-import json
 import os
 import shutil
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
-from nishiki.archive.crate import MANIFEST, METADATA, PackedScene, PackedStage, manifest_text
-from nishiki.archive.crate_metadata import LOCK, metadata
-from nishiki.archive.museums import CIDOC_CRM, LIDO, crm_graph, lido_text
+from nishiki.archive.crate import LOCK, MANIFEST, manifest_text, metadata
 from nishiki.archive.tree import FolderTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import RUN, Artifact
+from nishiki.artifacts.packed import METADATA, PackedScene, PackedStage, json_text
 from nishiki.errors import UserError
 from nishiki.installation import CARRIED, PACKAGES, SOURCE
+from nishiki.optional_formats.museums import IN_WORDS, RECORDS
 
 CODE = ("Snakefile", "LICENSE", "pyproject.toml", "uv.lock", "workflow", "scripts", "envs")
 """Files of the project that are packed: the program, and the lock of its libraries."""
@@ -84,16 +82,16 @@ def pack(scene: PackedScene, project: Path, target: Path, *, tell: Tell) -> str:
         scene = replace(scene, stages=stages)
         _copy_capture(crate, scene, tell)
         _copy_code(crate, project)
-        crate.write("scene.json", _json({"scene": scene.name, **scene.facts}))
+        crate.write("scene.json", json_text({"scene": scene.name, **scene.facts}))
         crate.write("README.md", _readme(scene))
         try:
-            crate.write(LIDO, lido_text(scene))
+            for name, record in RECORDS.items():
+                crate.write(name, record.text(scene))
         except ValueError as error:
             raise UserError(f"{scene.capture}: {error}. Remedy: remove control characters from capture.yaml") from None
-        crate.write(CIDOC_CRM, _json(crm_graph(scene)))
-        others = ["README.md", "scene.json", LIDO, CIDOC_CRM, MANIFEST]
+        others = ["README.md", "scene.json", *RECORDS, MANIFEST]
         others += [name for name in ("code/LICENSE", LOCK) if name in crate.files]
-        crate.write(METADATA, _json(metadata(scene, others)))
+        crate.write(METADATA, json_text(metadata(scene, others)))
         text = manifest_text({name: sha256 for name, (_, sha256) in crate.files.items()})
         crate.write(MANIFEST, text)
         os.rename(partial, target)
@@ -160,10 +158,6 @@ def _copy_code(crate: Crate, project: Path) -> None:
                 crate.copy(path / file if file else path, f"code/{name}/{file}" if file else f"code/{name}")
 
 
-def _json(value: Any) -> str:
-    return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
-
-
 def _readme(scene: PackedScene) -> str:
     """Write the page for people who find the folder and have no tool of this project."""
     photographs = (
@@ -186,9 +180,7 @@ result; its `artifact.json` names its files with their SHA-256, its settings, an
 Is everything still what it was? `sha256sum --check {MANIFEST}` compares the files; `./nishiki verify FOLDER` of the
 workflow also follows the way from the photographs to every result, and computes every key again.
 
-`{LIDO}` describes object and digitisation as museums exchange records (LIDO 1.1), `{CIDOC_CRM}` as a graph of the
-CIDOC Conceptual Reference Model (JSON-LD).
-"""
+{IN_WORDS}"""
 
 
 def write_zip(folder: Path, target: Path) -> None:

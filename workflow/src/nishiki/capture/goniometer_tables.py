@@ -12,10 +12,9 @@ from nishiki.capture.frames import ANGLE_COLUMNS as ANGLES
 from nishiki.capture.frames import RADIAN_COLUMNS
 from nishiki.formats.coding import RGB
 from nishiki.formats.files import bound
-from nishiki.formats.merl import MERL_BYTES, UTIA_BYTES, merl_values, read_merl, read_utia
 from nishiki.formats.problems import MOST_LISTED, CaptureError, Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading, table_lines, table_rows
-from nishiki.goniometry.directions import unit
+from nishiki.optional_formats.reflectance_tables import BINARY_TABLES
 
 ANGLE = re.compile(
     r"(?P<kind>theta|phi)[ _]?(?P<way>i|in|inc|incident|l|light|r|o|out|refl|reflected|v|view)"
@@ -33,11 +32,6 @@ QUANTITIES = {
 }
 """Patterns that identify a column's quantity, tried in this order, case-insensitive."""
 BRDF, UNSAID = "BRDF (1/sr)", "no quantity in the name"
-BINARY_BYTES = {".bin": UTIA_BYTES, ".binary": MERL_BYTES}
-"""Length of tables without a heading, by suffix."""
-MERL_LIGHTS = ((0.0, 0.0), *((15.0 * k, phi) for k in range(1, 6) for phi in (0.0, 45.0, 90.0)))
-MERL_VIEWS = ((0.0, 0.0), *((3.0 * k, 7.5 * step) for k in range(1, 27) for step in range(48)))
-"""theta and phi in degrees at which tables of the MERL database are read: as densely as a cloth is photographed."""
 Lines = Iterator[tuple[int, str]]
 Rows = Iterator[tuple[int, list[str]]]
 FEWEST_ANGLES = 6  # measurements whose angles together tell their unit
@@ -64,10 +58,12 @@ def read_table(path: Path, name: str, *, values: str = "brdf", azimuths: str = "
     table-missing, table-unreadable, table-many, table-columns, table-quantities, table-empty, angle-invalid,
     table-value, angles-radians.
     """
-    if path.suffix.lower() in BINARY_BYTES:
-        return _as_brdf((_utia if path.suffix.lower() == ".bin" else _merl)(path, name), values, azimuths)
+    suffix = path.suffix.lower()
     with reading(name, "table"):
-        if path.suffix.lower() == ".brdf":
+        if suffix in BINARY_TABLES:
+            rows, note = BINARY_TABLES[suffix].read(path, name)
+            table = rows, RGB, array("q", range(1, len(rows) + 1)), [note]
+        elif suffix == ".brdf":
             table = _cornell(table_lines(path, name, limit="reflectances_bytes"), name)
         else:
             table = _csv(table_rows(path, name, limit="reflectances_bytes"), name, values)
@@ -98,8 +94,8 @@ def is_table(path: Path, *, named: bool = False) -> bool:
     """
     if path.suffix.lower() == ".brdf":
         return True
-    if path.suffix.lower() in BINARY_BYTES:
-        return named or path.stat().st_size == BINARY_BYTES[path.suffix.lower()]
+    if path.suffix.lower() in BINARY_TABLES:
+        return named or path.stat().st_size == BINARY_TABLES[path.suffix.lower()].size
     if path.suffix.lower() != ".csv":
         return False
     try:
@@ -212,28 +208,6 @@ def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], arra
     rows = rest.reshape(-1, wide).copy()
     rows[:, :4] = np.degrees(rows[:, :4])
     return rows, tuple(f"{nm:g} nm" for nm in values[1 : 1 + count]), places[1 + count :: wide], []
-
-
-def _utia(path: Path, name: str) -> ReflectanceTable:
-    """Read a table of the UTIA database."""
-    with reading(name, "table"):
-        rows = read_utia(path, name)
-    table = _checked(rows, RGB, array("q", range(1, len(rows) + 1)), [], name)
-    what = "the values of a UTIA table are taken to be in 1/sr"
-    note = warning("table-scale", name, what, remedy="Check their scale: the file does not state it")
-    return replace(table, warnings=(*table.warnings, note))
-
-
-def _merl(path: Path, name: str) -> ReflectanceTable:
-    """Read an isotropic table of the MERL database, read at MERL_LIGHTS and MERL_VIEWS."""
-    with reading(name, "table"):
-        stored = read_merl(path, name)
-    angles = np.array([(*light, *view) for light in MERL_LIGHTS for view in MERL_VIEWS])
-    values = merl_values(stored, *(unit(*np.radians(each).T) for each in (angles[:, :2], angles[:, 2:])))
-    table = _checked(np.column_stack([angles, values]), RGB, array("q", range(1, len(angles) + 1)), [], name)
-    what = f"an isotropic table, read at {len(MERL_LIGHTS)} directions of light and {len(MERL_VIEWS)} of view"
-    found = f"views up to {MERL_VIEWS[-1][0]:g} degrees; highlights narrower than the steps of 3 degrees are lost"
-    return replace(table, warnings=(*table.warnings, warning("table-resampled", name, what, found=found)))
 
 
 def _checked(

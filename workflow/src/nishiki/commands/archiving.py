@@ -24,9 +24,9 @@ from nishiki.progress import Progress
 
 if TYPE_CHECKING:
     from nishiki.archive.audit import AuditTargets, Counts, Damage
-    from nishiki.archive.crate import PackedScene
     from nishiki.archive.prune import Item, Place, Pruning
     from nishiki.artifacts.artifact import Artifact
+    from nishiki.artifacts.packed import PackedScene
     from nishiki.engine.plan import Plan
     from nishiki.engine.workflow import Workflow
 
@@ -179,7 +179,8 @@ def expect_outside(target: Path, results: Path) -> None:
 
 
 def _scene(flow: "Workflow", name: str, plan: "Plan") -> "PackedScene":
-    from nishiki.archive.crate import PackedScene, capture_method
+    from nishiki.archive.crate import capture_method
+    from nishiki.artifacts.packed import PackedScene
     from nishiki.capture.folder import load_capture
     from nishiki.capture.schema import ABOUT
     from nishiki.stages.table import CHAIN

@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,9 @@ import numpy as np
 
 from nishiki.formats.banded_pictures import png_bytes
 from nishiki.installation import optional
+
+INDEX = 1.5  # of refraction, what a viewer of glTF takes where the file says nothing
+NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2
 
 
 @dataclass(frozen=True)
@@ -386,3 +390,16 @@ def _shader(stage: Any, name: str, kind: str) -> Any:
     shader = UsdShade.Shader.Define(stage, f"{ROOT}/material/{name}")
     shader.CreateIdAttr(kind)
     return shader
+
+
+def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Sample (n, channels) bilinearly at places (n, 2), row and column in texels."""
+    from scipy.ndimage import map_coordinates
+
+    look_up = partial(map_coordinates, coordinates=places.T, output=np.float64, order=1, mode="nearest")
+    return np.stack([look_up(channel) for channel in np.moveaxis(texture, -1, 0)], axis=1)
+
+
+def coded(values: np.ndarray) -> np.ndarray:
+    """Quantise values in 0 to 1 to eight bits."""
+    return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)

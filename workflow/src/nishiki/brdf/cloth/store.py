@@ -1,4 +1,4 @@
-"""Store the reflection model of a cloth in one `.npz` file, and sample any model as rows and as a table of UTIA."""
+"""Store the reflection model of a cloth in one `.npz` file, and sample any model as rows."""
 
 import io
 import zipfile
@@ -10,7 +10,6 @@ import numpy as np
 
 from nishiki.artifacts.outputs import Output, as_declared
 from nishiki.errors import UserError
-from nishiki.formats.merl import UTIA_PHI_DEG, UTIA_THETA_DEG
 from nishiki.formats.stored import load_arrays, understood
 from nishiki.goniometry.directions import unit
 
@@ -27,18 +26,6 @@ def goniometer_rows(brdf, *, incident_deg, outgoing_deg) -> np.ndarray:
         [np.repeat(incident_deg, len(outgoing_deg), axis=0), np.tile(outgoing_deg, (len(incident_deg), 1))], axis=1
     )
     return np.concatenate([angles, values.reshape(len(angles), -1)], axis=1)
-
-
-def utia_planes(brdf) -> np.ndarray:
-    """Sample the table of the UTIA BRDF database, (3, 6, 48, 6, 48) float64: channel, theta_i, phi_i, theta_r, phi_r.
-
-    theta 0 .. 75 degrees by 15, phi by 7.5; written as little-endian doubles in this order it is a `.bin` file that
-    readers of that database open (ALTA among them).  One channel is written three times.  Values are 1 / sr.
-    """
-    directions = unit(*np.radians(np.meshgrid(UTIA_THETA_DEG, UTIA_PHI_DEG, indexing="ij")))
-    values = brdf.evaluate(directions[:, :, None, None], directions[None, None])
-    values = np.broadcast_to(values, (*values.shape[:-1], 3)) if values.shape[-1] == 1 else values[..., :3]
-    return np.ascontiguousarray(np.moveaxis(values, -1, 0)).astype("<f8")
 
 
 KINDS = {  # where the class of a kind is

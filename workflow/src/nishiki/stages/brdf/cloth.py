@@ -15,13 +15,14 @@ from nishiki.brdf.cloth.interface import (
     solid_angles,
 )
 from nishiki.brdf.cloth.models import BEST, YARNS, Fitted, fit_models, left_out_error
-from nishiki.brdf.cloth.store import goniometer_rows, save_brdf, utia_planes
+from nishiki.brdf.cloth.store import goniometer_rows, save_brdf
 from nishiki.brdf.cloth.yarn_fit import Measured
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import Reflectances, ReflectanceSet
 from nishiki.model_selection.decision import Decision, economy
 from nishiki.model_selection.sufficient import measured_choice, static_choice, with_normal_rows
+from nishiki.optional_formats.reflectance_tables import write_utia
 from nishiki.stages.brdf import CLOTH_OUTPUTS
 from nishiki.weave.store import read_yarns
 
@@ -58,7 +59,8 @@ def run(context: Context) -> dict:
         several = len(reflectances.regions) > 1
         stored = context.output.path(f"brdf_{region}.npz" if several else "brdf.npz")
         save_brdf(stored, fitted[default].brdf, CLOTH_OUTPUTS)
-        export(context, fitted[default].brdf, f"_{region}" if several else "", reflectances.channels)
+        for name in context.settings.export:
+            TABLES[name](context, fitted[default].brdf, f"_{region}" if several else "", reflectances.channels)
         stored_facts[region] = {name: {"used": fit.used.tolist(), **fit.facts} for name, fit in fitted.items()}
         diagnostics[region] = {name: judged(measured, fit) for name, fit in fitted.items()}
         for name, error in errors.items():
@@ -124,16 +126,14 @@ def judged(measured: Measured, fit: Fitted) -> dict:
     }
 
 
-def export(context: Context, brdf, suffix: str, channels) -> None:
-    """Write the default model in the requested formats."""
-    formats = context.settings.export
-    if "utia" in formats:
-        context.output.path(f"brdf{suffix}_utia.bin").write_bytes(utia_planes(brdf).tobytes())
-    if "csv" in formats:
-        rows = goniometer_rows(brdf, incident_deg=EXPORT_INCIDENT_DEG, outgoing_deg=EXPORT_VIEWS_DEG)
-        with context.output.path(f"brdf{suffix}.csv").open("w", newline="") as file:
-            table = csv.writer(file)
-            table.writerow(["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", *channels])
-            table.writerows(
-                [*(f"{angle:g}" for angle in row[:4]), *(f"{value:.6g}" for value in row[4:])] for row in rows
-            )
+def write_rows(context: Context, brdf, suffix: str, channels) -> None:
+    """Write a model as a table of reflectances, as a capture holds it."""
+    rows = goniometer_rows(brdf, incident_deg=EXPORT_INCIDENT_DEG, outgoing_deg=EXPORT_VIEWS_DEG)
+    with context.output.path(f"brdf{suffix}.csv").open("w", newline="") as file:
+        table = csv.writer(file)
+        table.writerow(["theta_i_deg", "phi_i_deg", "theta_r_deg", "phi_r_deg", *channels])
+        table.writerows([*(f"{angle:g}" for angle in row[:4]), *(f"{value:.6g}" for value in row[4:])] for row in rows)
+
+
+TABLES = {"csv": write_rows, "utia": write_utia}
+"""Writers of the default model, by format."""

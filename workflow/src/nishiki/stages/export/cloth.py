@@ -25,16 +25,16 @@ from nishiki.brdf.half_vector_table import HalfVectorTable
 from nishiki.brdf.slopes import anisotropic_lobe
 from nishiki.colour.colour import decode, delta_e_2000, srgb_encode, srgb_matrix, xyz_to_lab
 from nishiki.formats.banded_pictures import png_bytes
-from nishiki.formats.merl import bsdf_bytes
-from nishiki.formats.textured_surface import Glb
+from nishiki.formats.textured_surface import NORMAL_REFLECTANCE, Glb
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import write_ply
+from nishiki.optional_formats.reflectance_tables import bsdf_bytes
 from nishiki.render.cloth.models import ClothModels
 from nishiki.render.cloth.scene import EDGE, STEPS, Brdf, BrdfTable, ClothScene
 from nishiki.render.cloth.studio import MARGIN, Lighting, RenderVariant, framed, paper_below, render
 from nishiki.render.display import three_channels
 from nishiki.stages.export import mitsuba_cloth
-from nishiki.stages.export.registry import NORMAL_REFLECTANCE, software, write_formats
+from nishiki.stages.export.registry import software, write_formats
 from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.render.cloth import DrapedCloth, draped_cloth, lights_of
 

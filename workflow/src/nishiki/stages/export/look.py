@@ -28,10 +28,10 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.slopes import isotropic_lobe, widened_roughness
 from nishiki.brdf.torrance_sparrow import MIRROR, specular
 from nishiki.colour.colour import decode, encode, srgb_encode
-from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
+from nishiki.formats.textured_surface import INDEX, SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.scene import Gloss
-from nishiki.stages.export.registry import INDEX, METRES, CodedErrors, ExportedSurface, GltfLook
+from nishiki.stages.export.registry import METRES, CodedErrors, ExportedSurface, GltfLook
 from nishiki.stages.export.scene import ExportedScene, Photographs, reliefs
 
 ROUGHNESS = np.geomspace(1, 0.05, 90)

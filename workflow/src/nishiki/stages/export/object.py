@@ -17,13 +17,14 @@ from nishiki.evaluate.object_photographs import Photographs
 from nishiki.formats.banded_pictures import write_iiif_image
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
+from nishiki.optional_formats.kintsugi import write_kintsugi
 from nishiki.render.display import developed, normals_as_colours, three_channels
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.renderer import ObjectRenderer, coverage
 from nishiki.render.object.shots import ObjectPicture
 from nishiki.stages.export.iiif import QUALITY, canvas, image, manifest_of, tiles_psnr_db, write_manifest
 from nishiki.stages.export.object_look import ObjectSurface
-from nishiki.stages.export.object_renderers import write_kintsugi, write_mitsuba
+from nishiki.stages.export.object_renderers import write_mitsuba
 from nishiki.stages.export.registry import METRES, CodedErrors, write_formats, write_gltf, write_mtlx, write_usd
 
 LAYERS = {

@@ -10,7 +10,7 @@ Without a white board albedo is relative to a lamp of unknown strength and may b
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 
@@ -21,11 +21,11 @@ from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.brdf.texels.model import POINT, ViewLamp, factors, predict
 from nishiki.colour.colour import decode, encode, srgb_encode
 from nishiki.evaluate.object_photographs import Photographs
-from nishiki.formats.textured_surface import SurfaceLook, TexturedMesh
+from nishiki.formats.textured_surface import INDEX, NORMAL_REFLECTANCE, SurfaceLook, TexturedMesh, coded, sample
 from nishiki.geometry.visibility import rasterise
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.stages.export.registry import INDEX, METRES, NORMAL_REFLECTANCE, CodedErrors, ExportedSurface, GltfLook
+from nishiki.stages.export.registry import METRES, CodedErrors, ExportedSurface, GltfLook
 
 GAP = 2  # texels between two charts
 
@@ -77,14 +77,6 @@ def fill_gaps(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
 
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
     return texture[tuple(nearest)]
-
-
-def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Sample (n, channels) bilinearly at places (n, 2), row and column in texels."""
-    from scipy.ndimage import map_coordinates
-
-    look_up = partial(map_coordinates, coordinates=places.T, output=np.float64, order=1, mode="nearest")
-    return np.stack([look_up(channel) for channel in np.moveaxis(texture, -1, 0)], axis=1)
 
 
 ALPHA_PER_SIGMA = float(np.sqrt(2 * np.log(2) / (np.sqrt(2) - 1)))
@@ -165,11 +157,6 @@ def object_mesh(context: Context, look: ObjectLook) -> TexturedMesh:
     return TexturedMesh(positions, normals, places, numbers.reshape(-1, 3))
 
 
-def coded(values: np.ndarray) -> np.ndarray:
-    """Quantise values in 0 to 1 to eight bits."""
-    return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)
-
-
 def textures(decoded: DecodedObject, texels: Texels, layout: TextureAtlas) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute albedo (rows, columns, 3), alpha and w F0 (rows, columns) of the texture from the decoded parameters."""
 
@@ -182,6 +169,17 @@ def textures(decoded: DecodedObject, texels: Texels, layout: TextureAtlas) -> tu
 
     filled = in_charts(decoded, layout, 5, look)
     return filled[..., :3], filled[..., 3], filled[..., 4]
+
+
+def model_textures(decoded: DecodedObject, layout: TextureAtlas) -> dict[str, np.ndarray]:
+    """Compute kd, ks (rows, columns, 3) and sigma (rows, columns, 1) of the decoded model, float32, gaps filled."""
+
+    def parameters(tile: int) -> np.ndarray:
+        kd, ks, sigma = decoded.residual.parameters(tile)
+        return np.dstack([three_channels(kd), three_channels(ks), sigma])
+
+    filled = np.maximum(np.nan_to_num(in_charts(decoded, layout, 7, parameters)), 0)
+    return {"kd": filled[..., :3], "ks": filled[..., 3:6], "sigma": filled[..., 6:]}
 
 
 def in_charts(
@@ -339,6 +337,15 @@ class ObjectSurface(ExportedSurface):
         """Mesh in metres where its unit is known."""
         return object_mesh(self.context, self.look)
 
+    @cached_property
+    def model(self) -> dict[str, np.ndarray]:
+        """Textures of the decoded model, as of `model_textures`."""
+        return model_textures(self.look.decoded, self.look.layout)
+
+    def compare(self, shown: Mapping[str, Shown]) -> dict[str, dict]:
+        """Compute the PSNR of displayed values against photographs."""
+        return against_photographs(self.context, self.look, shown)
+
     @property
     def unit(self) -> str:
         """Length of 1 unit in a file."""
@@ -361,4 +368,4 @@ class ObjectSurface(ExportedSurface):
 
     def errors(self, formats: list[str]) -> dict[str, dict]:
         """Compute the PSNR of the stored textures against photographs, in each format."""
-        return against_photographs(self.context, self.look, {name: shown_in(self.look, name) for name in formats})
+        return self.compare({name: shown_in(self.look, name) for name in formats})

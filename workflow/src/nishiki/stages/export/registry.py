@@ -12,9 +12,7 @@ from nishiki.artifacts.stage import Context
 from nishiki.formats.banded_pictures import png_bytes
 from nishiki.formats.textured_surface import Glb, SurfaceLook, TexturedMesh, write_materialx, write_usdz
 
-INDEX = 1.5  # of refraction, what a viewer of glTF takes where the file says nothing
 METRES: dict[Any, float] = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
-NORMAL_REFLECTANCE = ((INDEX - 1) / (INDEX + 1)) ** 2
 
 
 def write_formats(context: Context, writers: Mapping[str, Callable[[], dict[str, Any]]]) -> dict[str, Any]:
@@ -139,50 +137,51 @@ class ExportedSurface(ABC):
         """Return the diagnostics of a format besides its files."""
         return {**self.figures(name), "kinds": {name: {"psnr_db": self._errors[name]}}}
 
+    def add_to(self, glb: Glb, texture: Callable[[str, np.ndarray], int], *, extras: dict | None = None) -> None:
+        """Add mesh and material; texture: adds a named picture and returns its number; extras: of the material."""
+        mesh, look = self.mesh, self.gltf_look
+        attributes = {
+            "POSITION": glb.vertices(mesh.positions, bounds=True),
+            "NORMAL": glb.vertices(mesh.normals),
+            "TEXCOORD_0": glb.vertices(mesh.texture),
+        }
+        material: dict[str, Any] = {"extras": extras}
+        pbr: dict[str, Any] = {"baseColorTexture": {"index": texture("albedo", look.colour)}}
+        if look.normals is not None:
+            attributes["TANGENT"] = glb.vertices(np.broadcast_to([1.0, 0.0, 0.0, 1.0], (len(mesh.positions), 4)))
+            material["normalTexture"] = {"index": texture("normals", look.normals)}
+        if isinstance(look.roughness, np.ndarray):
+            several = isinstance(look.metallic, np.ndarray)
+            blue = look.metallic if several else np.zeros_like(look.roughness)
+            picture = np.stack([np.full_like(look.roughness, 255), look.roughness, blue], axis=-1)
+            pbr |= {"metallicRoughnessTexture": {"index": texture("orm", picture)}}
+            pbr["metallicFactor"] = 1.0 if several else look.metallic
+        else:
+            pbr |= {"roughnessFactor": look.roughness, "metallicFactor": look.metallic}
+        specular: dict[str, Any] = {"specularColorFactor": [look.factor] * 3}
+        if isinstance(look.weight, np.ndarray):
+            alpha = np.stack([*[np.full_like(look.weight, 255)] * 3, look.weight], axis=-1)
+            specular["specularTexture"] = {"index": texture("strength", alpha)}
+        else:
+            specular["specularFactor"] = look.weight
+        extensions = {"KHR_materials_ior": {"ior": look.index}, "KHR_materials_specular": specular}
+        glb.extensions |= set(extensions)
+        number = glb.add("materials", pbrMetallicRoughness=pbr, extensions=extensions, **material)
+        glb.add_mesh(attributes, mesh.triangles, number, name=self.context.stamp["scene"])
+
+    def save(self, glb: Glb, file: str) -> None:
+        """Write a file with the artifact's stamp and the unit of length."""
+        extras = {**self.context.stamp, "unit": self.unit}
+        glb.write(self.context.output.path(file), generator=software(self.context), extras=extras)
+
 
 def write_gltf(context: Context, surface: ExportedSurface) -> dict:
     """Write mesh and material as binary glTF; return the error of its material."""
     glb = Glb()
-    add_surface(glb, surface, lambda _, picture: glb.texture(png_bytes(picture), mime="image/png"))
-    extras = {**context.stamp, "unit": surface.unit}
-    glb.write(context.output.path(f"exports/{surface.stem}.glb"), generator=software(context), extras=extras)
+    surface.add_to(glb, lambda _, picture: glb.texture(png_bytes(picture), mime="image/png"))
+    surface.save(glb, f"exports/{surface.stem}.glb")
     mesh = surface.mesh
     return {"vertices": len(mesh.positions), "faces": len(mesh.triangles), **surface.losses("gltf")}
-
-
-def add_surface(
-    glb: Glb, surface: ExportedSurface, texture: Callable[[str, np.ndarray], int], *, extras: dict | None = None
-) -> None:
-    """Add mesh and material; texture: adds a named picture and returns its number; extras: of the material."""
-    mesh, look = surface.mesh, surface.gltf_look
-    attributes = {
-        "POSITION": glb.vertices(mesh.positions, bounds=True),
-        "NORMAL": glb.vertices(mesh.normals),
-        "TEXCOORD_0": glb.vertices(mesh.texture),
-    }
-    material: dict[str, Any] = {"extras": extras}
-    pbr: dict[str, Any] = {"baseColorTexture": {"index": texture("albedo", look.colour)}}
-    if look.normals is not None:
-        attributes["TANGENT"] = glb.vertices(np.broadcast_to([1.0, 0.0, 0.0, 1.0], (len(mesh.positions), 4)))
-        material["normalTexture"] = {"index": texture("normals", look.normals)}
-    if isinstance(look.roughness, np.ndarray):
-        several = isinstance(look.metallic, np.ndarray)
-        blue = look.metallic if several else np.zeros_like(look.roughness)
-        picture = np.stack([np.full_like(look.roughness, 255), look.roughness, blue], axis=-1)
-        pbr |= {"metallicRoughnessTexture": {"index": texture("orm", picture)}}
-        pbr["metallicFactor"] = 1.0 if several else look.metallic
-    else:
-        pbr |= {"roughnessFactor": look.roughness, "metallicFactor": look.metallic}
-    specular: dict[str, Any] = {"specularColorFactor": [look.factor] * 3}
-    if isinstance(look.weight, np.ndarray):
-        alpha = np.stack([*[np.full_like(look.weight, 255)] * 3, look.weight], axis=-1)
-        specular["specularTexture"] = {"index": texture("strength", alpha)}
-    else:
-        specular["specularFactor"] = look.weight
-    extensions = {"KHR_materials_ior": {"ior": look.index}, "KHR_materials_specular": specular}
-    glb.extensions |= set(extensions)
-    number = glb.add("materials", pbrMetallicRoughness=pbr, extensions=extensions, **material)
-    glb.add_mesh(attributes, mesh.triangles, number, name=surface.context.stamp["scene"])
 
 
 def write_usd(context: Context, surface: ExportedSurface) -> dict:

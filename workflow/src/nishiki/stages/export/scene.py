@@ -55,6 +55,11 @@ class ExportedScene(PaintingMaps):
         """Compute (r, columns, 3) diffuse colour in linear sRGB; 0 where there is no estimate."""
         return np.where(self.known(rows)[..., None], np.nan_to_num(self.coefficients(rows)) @ self.to_srgb().T, 0)
 
+    def body_terms(self, rows: slice) -> np.ndarray:
+        """Return (r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
+        terms = self.shading(rows)
+        return np.full((*self.known(rows).shape, 3), [1, 0, 0], np.float32) if terms is None else terms[..., :3]
+
     def to_xyz_d50(self) -> tuple[np.ndarray, str]:
         """Compute (3, K) from coefficients to XYZ under D50, white (0.9642, 1, 0.8249); return its source in words."""
         if self.basis is not None:

@@ -1,4 +1,4 @@
-"""Read and write measured reflection: databases MERL (`.binary`), UTIA (`.bin`), and Dupuy and Jakob (`.bsdf`).
+"""Read and write tables of reflectances: databases MERL (`.binary`), UTIA (`.bin`), and Dupuy and Jakob (`.bsdf`).
 
 MERL: three int32 (90, 90, 180), then doubles (colour, theta_h, theta_d, phi_d), lowest byte first, in steps of
 MERL_SCALE. theta_h, from the normal to the half vector, is spaced by squares: cell k begins at 90 (k / 90)^2 degrees.
@@ -13,11 +13,17 @@ Vavra (2014), Template-based sampling of anisotropic BRDFs, Computer Graphics Fo
 """
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from nishiki.artifacts.stage import Context
+from nishiki.brdf.torrance_sparrow import MIRROR, body_factor, specular, transmittance
 from nishiki.formats.files import Refused, read_bytes
+from nishiki.formats.problems import Problem, warning
+from nishiki.goniometry.directions import unit
 
 MERL_SHAPE = (90, 90, 180)
 MERL_SCALE = np.array([1.0, 1.15, 1.66]) / 1500
@@ -70,6 +76,21 @@ def merl_values(table: np.ndarray, light: np.ndarray, view: np.ndarray) -> np.nd
     return np.where(np.isfinite(values).all(axis=1, keepdims=True), values, MERL_HIDDEN)
 
 
+MERL_LIGHTS = ((0.0, 0.0), *((15.0 * k, phi) for k in range(1, 6) for phi in (0.0, 45.0, 90.0)))
+MERL_VIEWS = ((0.0, 0.0), *((3.0 * k, 7.5 * step) for k in range(1, 27) for step in range(48)))
+"""theta and phi in degrees at which tables of the MERL database are read: as densely as a cloth is photographed."""
+
+
+def read_merl_rows(path: Path, name: str) -> tuple[np.ndarray, Problem]:
+    """Read a table as rows (n, 7) of theta_i, phi_i, theta_r, phi_r in degrees and red, green, blue; and a note."""
+    stored = read_merl(path, name)
+    angles = np.array([(*light, *view) for light in MERL_LIGHTS for view in MERL_VIEWS])
+    values = merl_values(stored, *(unit(*np.radians(each).T) for each in (angles[:, :2], angles[:, 2:])))
+    what = f"an isotropic table, read at {len(MERL_LIGHTS)} directions of light and {len(MERL_VIEWS)} of view"
+    found = f"views up to {MERL_VIEWS[-1][0]:g} degrees; highlights narrower than the steps of 3 degrees are lost"
+    return np.column_stack([angles, values]), warning("table-resampled", name, what, found=found)
+
+
 def merl_directions() -> tuple[np.ndarray, np.ndarray]:
     """Compute unit vectors (90, 90, 180, 3) to light and view in the middles of the cells; the normal is z."""
     half_index, difference, turn = (np.arange(count) + 0.5 for count in MERL_SHAPE)
@@ -88,6 +109,68 @@ def merl_bytes(brdf: np.ndarray) -> bytes:
     """Encode BRDF values (90, 90, 180, 3) in 1/sr, at `merl_directions`."""
     scaled = np.where(brdf >= 0, brdf / MERL_SCALE, brdf)
     return np.array(MERL_SHAPE, "<i4").tobytes() + np.ascontiguousarray(np.moveaxis(scaled, -1, 0), "<f8").tobytes()
+
+
+def write_merl(context: Context, scene: Any) -> dict:
+    """Write a table for each region of an `ExportedScene`: its lobes, and the mean of its body colour and shading."""
+    gloss = scene.gloss
+    beta, gamma, index, lost = gloss.beta, gloss.gamma, gloss.refractive_index, gloss.transmission
+    labels = scene.regions(slice(0, scene.shape[0])) if len(index) > 1 else None
+    light, view = merl_directions()
+    spreads = []
+    for region in range(len(index)):
+        colour, shading, spread = mean_body(scene, labels, region)
+        if colour is None:
+            continue
+        brdf = brdf_of(light, view, colour, shading, beta[region], gamma[region], index[region], lost[region])
+        context.output.path(f"exports/merl/region-{region}.binary").write_bytes(merl_bytes(brdf))
+        spreads.append(spread)
+    return {"colour_spread": spreads}
+
+
+def mean_body(scene: Any, labels: np.ndarray | None, region: int) -> tuple[np.ndarray | None, np.ndarray, float]:
+    """Compute mean linear sRGB (3,) and body-shading terms (3,) of a region, and the spread of its colour.
+
+    The spread is the root mean square distance from the mean, relative to it. None where no pixel has an estimate.
+    """
+    count, colours, squares, shadings = 0, np.zeros(3), np.zeros(3), np.zeros(3)
+    for rows in scene.bands():
+        chosen = scene.known(rows)
+        if labels is not None:
+            chosen &= labels[rows] == region
+        colour = scene.srgb(rows)[chosen].astype(np.float64)
+        count += len(colour)
+        colours += colour.sum(axis=0)
+        squares += (colour**2).sum(axis=0)
+        shadings += scene.body_terms(rows)[chosen].sum(axis=0, dtype=np.float64)
+    if not count:
+        return None, shadings, 0.0
+    mean = colours / count
+    spread = np.sqrt(max(float((squares / count - mean**2).sum()), 0.0)) / max(float(np.linalg.norm(mean)), 1e-9)
+    return mean, shadings / count, float(spread)
+
+
+def brdf_of(light, view, colour, shading, beta, gamma, index, transmission) -> np.ndarray:
+    """Compute the BRDF (..., 3) per steradian; `MERL_HIDDEN` where light or view is below the surface.
+
+    light, view (..., 3): unit vectors; colour (3,), shading (3,): of the body; beta, gamma (lobes,); index: of
+    refraction; transmission: share of the surface's loss that the body's light suffers.
+    """
+    normal = np.array([0.0, 0.0, 1.0])
+    towards_light, towards_view = light[..., 2], view[..., 2]
+    middle = light + view
+    along = middle[..., 2] / np.linalg.norm(middle, axis=-1)
+    seen = (towards_light > 0) & (towards_view > 0)
+    passed = [1 + transmission * (transmittance(cosine, index) - 1) for cosine in (towards_light, towards_view)]
+    body = passed[0] * passed[1] * body_factor(shading, np.maximum(towards_light, 0), np.maximum(along, 0))
+    gloss = sum(
+        specular(normal, light, view, beta=b, gamma=g, refractive_index=index) for b, g in zip(beta, gamma, strict=True)
+    )
+    gloss = gloss / np.maximum(towards_light, 1e-9)
+    if index >= MIRROR:  # a metal mirrors in its colour
+        body, gloss = gloss, 0 * gloss
+    values = (body[..., None] * colour + gloss[..., None]) / np.pi
+    return np.where(seen[..., None], values, MERL_HIDDEN)
 
 
 KINDS = {np.dtype("u1"): 1, np.dtype("<f4"): 10}
@@ -119,8 +202,8 @@ UTIA_SHAPE = (3, len(UTIA_THETA_DEG), len(UTIA_PHI_DEG), len(UTIA_THETA_DEG), le
 UTIA_BYTES = 8 * int(np.prod(UTIA_SHAPE))
 
 
-def read_utia(path: Path, name: str) -> np.ndarray:
-    """Read rows (58081, 7) float64 of theta_i, phi_i, theta_r, phi_r in degrees and red, green, blue as stored.
+def read_utia(path: Path, name: str) -> tuple[np.ndarray, Problem]:
+    """Read rows (58081, 7) float64 of theta_i, phi_i, theta_r, phi_r in degrees, red, green, blue; and a note.
 
     Values that differ only in the azimuth of a direction along the normal are averaged. Refused where the file is not
     as long as such a table.
@@ -135,6 +218,35 @@ def read_utia(path: Path, name: str) -> np.ndarray:
     values = np.concatenate([by_light[:, :1].mean(axis=2), by_light[:, 1:].reshape(len(by_light), -1, 3)], axis=1)
     directions = np.array([(0.0, 0.0), *((theta, phi) for theta in UTIA_THETA_DEG[1:] for phi in UTIA_PHI_DEG)])
     count = len(directions)
-    return np.column_stack(
-        [np.repeat(directions, count, axis=0), np.tile(directions, (count, 1)), values.reshape(-1, 3)]
-    )
+    what = "the values of a UTIA table are taken to be in 1/sr"
+    note = warning("table-scale", name, what, remedy="Check their scale: the file does not state it")
+    angles = [np.repeat(directions, count, axis=0), np.tile(directions, (count, 1))]
+    return np.column_stack([*angles, values.reshape(-1, 3)]), note
+
+
+def utia_planes(brdf) -> np.ndarray:
+    """Sample the table of the UTIA BRDF database, (3, 6, 48, 6, 48) float64: channel, theta_i, phi_i, theta_r, phi_r.
+
+    theta 0 .. 75 degrees by 15, phi by 7.5; written as little-endian doubles in this order it is a `.bin` file that
+    readers of that database open (ALTA among them).  One channel is written three times.  Values are 1 / sr.
+    """
+    directions = unit(*np.radians(np.meshgrid(UTIA_THETA_DEG, UTIA_PHI_DEG, indexing="ij")))
+    values = brdf.evaluate(directions[:, :, None, None], directions[None, None])
+    values = np.broadcast_to(values, (*values.shape[:-1], 3)) if values.shape[-1] == 1 else values[..., :3]
+    return np.ascontiguousarray(np.moveaxis(values, -1, 0)).astype("<f8")
+
+
+def write_utia(context: Context, brdf, suffix: str, channels) -> None:
+    """Write the `.bin` file of a cloth's model."""
+    context.output.path(f"brdf{suffix}_utia.bin").write_bytes(utia_planes(brdf).tobytes())
+
+
+class BinaryTable(NamedTuple):
+    """A kind of table without a heading."""
+
+    size: int  # bytes of a file
+    read: Callable[[Path, str], tuple[np.ndarray, Problem]]  # from path and name to rows of angles and values; a note
+
+
+BINARY_TABLES = {".bin": BinaryTable(UTIA_BYTES, read_utia), ".binary": BinaryTable(MERL_BYTES, read_merl_rows)}
+"""Kinds of tables by suffix."""

@@ -1,4 +1,4 @@
-"""Describe a packed scene for museums: as a LIDO 1.1 record and as a CIDOC CRM 7.1 graph.
+"""Describe a packed scene for museums: as a LIDO 1.1 record and as a CIDOC CRM 7.1 graph, both in `RECORDS`.
 
 The object, its digitisation as an event, and photographs and results as resources. Elements stand in the order of the
 schema of the LIDO working group of CIDOC (ICOM, 2021). What capture.yaml does not say is left out, but the elements
@@ -10,10 +10,22 @@ read. Identifiers are those of the crate's description, so that both graphs can 
 out. https://www.cidoc-crm.org https://www.cidoc-crm.org/crmdig
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 from xml.etree import ElementTree as XML
 
-from nishiki.archive.crate import METADATA, Entity, PackedScene, PackedStage, days_of, ended, ids, is_address, started
+from nishiki.artifacts.packed import (
+    METADATA,
+    Entity,
+    PackedScene,
+    PackedStage,
+    days_of,
+    ended,
+    ids,
+    is_address,
+    json_text,
+    started,
+)
 from nishiki.artifacts.provenance import canonical
 
 LIDO = "lido.xml"
@@ -36,7 +48,7 @@ def lido_text(scene: PackedScene) -> str:
         """Return the first and the last day of a date, none of a text that is none."""
         return [moment.partition("T")[0] for moment in days_of(text) or ()]
 
-    loader = jinja2.PackageLoader("nishiki.archive", ".")
+    loader = jinja2.PackageLoader("nishiki.optional_formats", ".")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     words = {name: f"{TERMS}lido{number}" for name, number in NAMES.items()}
     facts = {"identifier": f"{scene.name}/sha256:{scene.digest}", "made": _made(scene), "days": days}
@@ -199,3 +211,24 @@ def _node(place: str, kind: str, label: str) -> dict[str, Any]:
 def _named(name: str) -> str:
     """Return an identifier of the crate's description."""
     return f"{METADATA}#{name}"
+
+
+class Record(NamedTuple):
+    """A description of a packed scene."""
+
+    standard: str
+    text: Callable[[PackedScene], str]  # ValueError where capture.yaml has a text that the format cannot hold
+
+
+RECORDS = {
+    LIDO: Record("LIDO 1.1", lido_text),
+    CIDOC_CRM: Record(
+        "CIDOC Conceptual Reference Model 7.1 with CRMdig 3.2", lambda scene: json_text(crm_graph(scene))
+    ),
+}
+"""Descriptions by the names of their files in the crate."""
+IN_WORDS = f"""\
+`{LIDO}` describes object and digitisation as museums exchange records (LIDO 1.1), `{CIDOC_CRM}` as a graph of the
+CIDOC Conceptual Reference Model (JSON-LD).
+"""
+"""Paragraph of the crate's README."""
