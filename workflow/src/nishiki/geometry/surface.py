@@ -69,9 +69,10 @@ def distances(points: np.ndarray, mesh: Mesh, *, spacing: float | None = None) -
 
 
 def sample(mesh: Mesh, spacing: float) -> tuple[np.ndarray, np.ndarray]:
-    """Sample points (n, 3) on the triangles, at most `spacing` apart along edges; return their triangles (n,) too.
+    """Sample points (n, 3) inside the triangles, at most `spacing` apart along edges; return their triangles (n,) too.
 
-    At most 64 points lie along one edge.
+    At most 64 points lie along one edge. None lies on a border: triangles would share it, and of a corner's many
+    triangles the nearest might not be looked at.
     """
     corners = mesh.vertices[mesh.triangles]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
@@ -81,7 +82,8 @@ def sample(mesh: Mesh, spacing: float) -> tuple[np.ndarray, np.ndarray]:
         mine = np.flatnonzero(parts == count)
         i, j = np.meshgrid(np.arange(count + 1), np.arange(count + 1), indexing="ij")
         inside = i + j <= count
-        weights = np.column_stack([i[inside], j[inside], count - i[inside] - j[inside]]) / count
+        corners_apart = np.column_stack([i[inside], j[inside], count - i[inside] - j[inside]])
+        weights = (corners_apart + 1 / 3) / (count + 1)
         points.append(np.einsum("wk,fkc->fwc", weights, corners[mine]).reshape(-1, 3))
         owners.append(np.repeat(mine, len(weights)))
     return np.concatenate(points), np.concatenate(owners)
