@@ -14,7 +14,7 @@ from refusals import refused
 
 from nishiki.rig.cameras import FolderSettings, WatchedFolder, number_of, run_command
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
-from nishiki.simulate.rig.camera import CAPACITY, VirtualCamera
+from nishiki.simulate.rig.devices import CAPACITY, VirtualCamera
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow" / "src"
 

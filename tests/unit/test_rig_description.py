@@ -14,9 +14,7 @@ from nishiki.rig import described
 from nishiki.rig import device as lines
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
-from nishiki.simulate.rig.comxim import SimulatedComXim
-from nishiki.simulate.rig.dome import SimulatedDome
-from nishiki.simulate.rig.grbl import SimulatedGrbl
+from nishiki.simulate.rig.devices import SimulatedComXim, SimulatedDome, SimulatedGrbl
 from nishiki.simulate.rig.line import SimulatedDialogue
 
 OWN_CAMERA = """

@@ -27,9 +27,7 @@ from nishiki.rig.described import (
     HomeMadePolariser,
 )
 from nishiki.rig.device import LONGEST_LINE, DeviceError, DeviceLost, SerialLine
-from nishiki.simulate.rig.comxim import SimulatedComXim
-from nishiki.simulate.rig.dome import SimulatedDome
-from nishiki.simulate.rig.grbl import SimulatedGrbl
+from nishiki.simulate.rig.devices import SimulatedComXim, SimulatedDome, SimulatedGrbl
 from nishiki.simulate.rig.line import FAULTS, SimulatedDialogue
 
 DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]

@@ -16,7 +16,7 @@ from pathlib import Path
 import yaml
 
 from nishiki.errors import UserError
-from nishiki.simulate.rig.dome import SimulatedDome
+from nishiki.simulate.rig.devices import SimulatedDome
 
 SUBJECTS = {"white board": "white", "lens cap on": "dark", "lens cap off": "object", "object": "object"}
 """Subjects before the lens after a request that contains these words; the first match counts."""

@@ -13,9 +13,9 @@ from pathlib import Path
 FAULTS = ("silence", "partial", "halves", "noise", "restart", "unplug")
 """Faults of the next answer: it never comes; only its beginning comes; it comes in two parts; after noise; the
 device restarts in place of it; the cable is pulled."""
-BOOT_S = 0.05
-"""Seconds from the opening of the port to the greeting: real boards take one or two."""
-HALVES_S = 0.1
+PAUSE_S = 0.05
+"""Seconds from the opening of the port to the greeting, between heartbeats, and between the halves of an answer: real
+boards take one or two to start."""
 TICK_S = 0.002
 NOISE = bytes([0xFF, 0x00, 0xFE, 0x13])
 
@@ -121,7 +121,7 @@ class SimulatedLine(threading.Thread):
         if not self.opened:
             self.opened = True
             if self.restarts_when_opened:
-                self.later(BOOT_S, self.restart)
+                self.later(PAUSE_S, self.restart)
         if state & select.POLLIN:
             try:
                 self._take(os.read(self.master, 4096).decode("ascii", "replace"))
@@ -164,7 +164,7 @@ class SimulatedLine(threading.Thread):
             half = max(1, len(data) // 2)
             data, rest = data[:half], data[half:]
             if fault == "halves":
-                self.later(HALVES_S, lambda: self._write(rest))
+                self.later(PAUSE_S, lambda: self._write(rest))
         self._write(NOISE + self.ending.encode() + data if fault == "noise" else data)
 
     def _write(self, data: bytes) -> None:

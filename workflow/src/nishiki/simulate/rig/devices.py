@@ -1,0 +1,248 @@
+"""Simulate the devices of rigs: a ComXim turntable, a dome, a controller with GRBL 1.1, pictures of a virtual camera.
+
+The turntable has turns that take time, a heartbeat and refusals; the dome the protocol <3,n> and the diodes that it
+lights; the controller start, homing, moves that take time, soft limits and alarms. libgphoto2's virtual camera appears
+in a process that starts with VCAMERADIR set.
+"""
+
+import re
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from nishiki.simulate.rig.line import PAUSE_S, SimulatedLine
+
+
+class SimulatedComXim(SimulatedLine):
+    """A turntable.
+
+    Parameters
+    ----------
+    path : Path
+        As of `SimulatedLine`.
+    command : str
+        How its firmware spells the command that turns it.
+    speed : float
+        Degrees per second.
+
+    Attributes
+    ----------
+    angle : float
+        Where the table is, in degrees, from where it stood when it was switched on. The cable does not supply it.
+    """
+
+    ending = ";"
+
+    def __init__(self, path: Path, command: str = "TRUNSINGLE", speed: float = 20000.0) -> None:
+        self.command, self.speed = command, speed
+        self.angle = self.zero = 0.0
+        super().__init__(path, restarts_when_opened=False)
+        self.later(PAUSE_S, self._beat)
+
+    def obey(self, command: str) -> list[str]:
+        if command == "CT()":
+            return ["CR+OK"]
+        if command == "CT+SETZERO()":
+            self.zero = self.angle
+            return ["CR+OK"]
+        if command == "CT+TOZERO()":
+            return self._turn(self.zero - self.angle) if self.angle != self.zero else ["CR+OK"]
+        turn = re.fullmatch(rf"CT\+{self.command}\(([01]),(\d+(?:\.\d+)?)\)", command)
+        if turn:
+            return self._turn(float(turn[2]) * (1 if turn[1] == "0" else -1))
+        return ["CR+ERR=12"]
+
+    def _turn(self, degrees: float) -> list[str]:
+        def arrive() -> None:
+            self.angle += degrees
+            self.say("CR+EVENT=TB_PAUSE", "CR+EVENT=TB_END")
+
+        self.later(abs(degrees) / self.speed, arrive)
+        return ["CR+OK"]
+
+    def _beat(self) -> None:
+        self._write(b"#")
+        self.later(PAUSE_S, self._beat)
+
+
+class SimulatedDome(SimulatedLine):
+    """A dome of light-emitting diodes.
+
+    Parameters
+    ----------
+    path : Path
+        As of `SimulatedLine`.
+    count : int
+        Number of diodes; the first has the number 0.
+    on_shutter : callable, optional
+        Action of the camera on the shutter cable, given the diodes that are lit.
+    on_light : callable, optional
+        Function that is called when the lit diodes have changed, before the dome answers.
+
+    Attributes
+    ----------
+    lit : set of int
+        The diodes that shine.
+    dead : set of int
+        Diodes that have failed: the dome says that they shine, and they do not.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        count: int,
+        on_shutter: Callable[[set[int]], None] | None = None,
+        on_light: Callable[[set[int]], None] | None = None,
+    ) -> None:
+        self.count, self.on_shutter, self.on_light = count, on_shutter, on_light
+        self.lit: set[int] = set()
+        self.dead: set[int] = set()
+        super().__init__(path)
+
+    def greet(self) -> list[str]:
+        self.lit = set(range(self.count))  # all diodes shine when it starts
+        return ["<UV Turned off.>", "<All lights turned on.>", "====", "RTI-Dome intialized", "Software Version: 1.0"]
+
+    def ends(self, text: str) -> bool:
+        return text.endswith(">")
+
+    def obey(self, command: str) -> list[str]:
+        name, _, value = command.strip("<>").partition(",")
+        off = ["<UV Turned off.>", "<All lights turned off.>"]
+        if name == "0":
+            self._light(set())
+            return off
+        if name == "3" and value.isdigit():
+            number = int(value)
+            self._light({number} if number < self.count else set())
+            return [*off, f"<Single LED turned on, number: {number}, row: {number // 8}, column: {number % 8}>"]
+        if name == "6":
+            if self.on_shutter is not None:
+                self.on_shutter(self.lit - self.dead)
+            return ["<Shutter triggered.>"]
+        return [f"<INCORRECT FUNCTION CALL: {name}>"]
+
+    def _light(self, diodes: set[int]) -> None:
+        self.lit = diodes
+        if self.on_light is not None:
+            self.on_light(diodes - self.dead)
+
+
+PULL_OFF = 1.0
+"""Units by which an axis leaves its limit switch after homing ($27)."""
+
+
+class SimulatedGrbl(SimulatedLine):
+    """A controller of axes X, Y and Z.
+
+    Parameters
+    ----------
+    path : Path
+        As of `SimulatedLine`.
+    travel : float
+        Largest travel of each axis ($130 to $132), in units; homing ends one pull-off below the upper end, which is 0.
+    speed : float
+        Units per second.
+    restarts_when_opened : bool
+        As of `SimulatedLine`.
+
+    Attributes
+    ----------
+    switch_works : bool
+        False: homing ends with ALARM:9.
+    door_open : bool
+        True: the controller reports the state Door.
+    """
+
+    immediate = "?\x18"
+
+    def __init__(
+        self, path: Path, travel: float = 800.0, speed: float = 20000.0, restarts_when_opened: bool = True
+    ) -> None:
+        self.travel, self.speed = travel, speed
+        self.switch_works, self.door_open = True, False
+        super().__init__(path, restarts_when_opened)
+
+    def greet(self) -> list[str]:
+        self.start_position = self.end_position = {"X": -17.0, "Y": -3.0, "Z": -250.0}  # where the motors happen to be
+        self.moving_until = self.moving_since = time.monotonic()
+        self.locked, self.needs_reset = True, False
+        return ["", "Grbl 1.1h ['$' for help]", "[MSG:'$H'|'$X' to unlock]"]
+
+    @property
+    def position(self) -> dict[str, float]:
+        """Positions of the axes now."""
+        now, start, end = time.monotonic(), self.moving_since, self.moving_until
+        share = 1.0 if now >= end else (now - start) / (end - start)
+        return {axis: a + share * (self.end_position[axis] - a) for axis, a in self.start_position.items()}
+
+    def obey(self, command: str) -> list[str]:
+        if command == "\x18":
+            return self.greet()
+        if command == "?":
+            return [self._status()]
+        if self.needs_reset:
+            return []  # after a critical alarm nothing is answered before a reset
+        if command == "$H":
+            return self._home()
+        if command == "$X":
+            self.locked = False
+            return ["[MSG:Caution: Unlocked]", "ok"]
+        if self.locked:
+            return ["error:9"]
+        if set(command.split()) <= {"G21", "G90"}:
+            return ["ok"]
+        move = re.fullmatch(r"G53 G0 ([XYZ])(-?\d+(?:\.\d+)?)", command)
+        return self._move(move[1], float(move[2])) if move else ["error:20"]
+
+    def _status(self) -> str:
+        state = "Run" if time.monotonic() < self.moving_until else "Idle"
+        state = "Alarm" if self.locked else "Door:0" if self.door_open else state
+        position = ",".join(f"{value:.3f}" for value in self.position.values())
+        return f"<{state}|MPos:{position}|FS:0,0>"
+
+    def _home(self) -> list[str]:
+        if not self.switch_works:
+            return ["ALARM:9", *self.greet()]  # it restarts by itself
+        self.start_position = self.end_position = dict.fromkeys("XYZ", -PULL_OFF)
+        self.locked = False
+        return ["ok"]
+
+    def _move(self, axis: str, target: float) -> list[str]:
+        if not -self.travel <= target <= 0:
+            self.locked = self.needs_reset = True
+            return ["ALARM:2", "[MSG:Reset to continue]"]
+        self.start_position = self.position
+        self.end_position = self.start_position | {axis: target}
+        self.moving_since = time.monotonic()
+        self.moving_until = self.moving_since + abs(target - self.start_position[axis]) / self.speed
+        return ["ok"]
+
+
+CAPACITY = 1 << 20
+"""Bytes of every picture of the virtual camera: it keeps to the length that the file had when the camera was opened."""
+
+
+class VirtualCamera:
+    """The folder of a virtual camera, and the picture that it takes next.
+
+    The camera releases 26 times in one process, then says that its card is full.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder to make; VCAMERADIR names it.
+    jpeg : bytes
+        The first picture.
+    """
+
+    def __init__(self, folder: Path, jpeg: bytes) -> None:
+        self.picture = folder / "DCIM" / "100NIKON" / "next.jpg"
+        self.picture.parent.mkdir(parents=True)
+        self.show(jpeg)
+
+    def show(self, jpeg: bytes) -> None:
+        """Put a picture before the lens: a JPEG file, which is filled up with bytes that readers skip."""
+        if len(jpeg) > CAPACITY:
+            raise ValueError(f"expected a picture of at most {CAPACITY} bytes, found {len(jpeg)}")
+        self.picture.write_bytes(jpeg.ljust(CAPACITY, b"\0"))
