@@ -12,16 +12,17 @@ from refusals import refused
 from nishiki.colour import estimate as module
 from nishiki.colour.colour import illuminant
 from nishiki.colour.estimate import estimate_spectra, fit_estimator
-from nishiki.colour.fitting import paper_map, wiener_map
-from nishiki.colour.local import (
+from nishiki.colour.fitting import (
     LocalCorrection,
     ResponseSpace,
     compact_kernel,
     dark_weight,
     evaluate_correction,
     fit_correction,
+    paper_map,
     place_centres,
     response_space,
+    wiener_map,
 )
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights, principal_basis, under_one_lamp
 from nishiki.colour.training import synthetic_reflectances

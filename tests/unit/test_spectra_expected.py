@@ -11,7 +11,7 @@ from nishiki.colour.estimate import (
     fit_estimator,
     sample_rows,
 )
-from nishiki.colour.local import ResponseSpace
+from nishiki.colour.fitting import ResponseSpace
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.colour.training import synthetic_reflectances
 

@@ -10,7 +10,6 @@ spectra whose responses lie nearest to a pixel's.
 """
 
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -21,19 +20,20 @@ from nishiki.colour.fitting import (
     BasesRule,
     Parts,
     Problem,
+    ResponseSpace,
     correction_table,
+    distances,
     fit_paper,
     fit_regression,
+    response_space,
 )
 from nishiki.colour.kernels import SpectralFlag
-from nishiki.colour.local import ResponseSpace, distances, response_space
 from nishiki.colour.sampling import channel_weights, checked_spectra
 from nishiki.errors import UserError
 from nishiki.formats.stored import ArrayFields
-from nishiki.threads import over_items
+from nishiki.threads import over_items, strips
 from nishiki.threads import threads as given_threads
 
-_PIXELS_A_THREAD = 4096  # at least
 UNIT_TOLERANCE = 0.01  # beyond 0 .. 1 at which a reflectance is flagged
 METHODS = ("paper", "wiener", "local")
 FLAG_MEANINGS = {
@@ -49,7 +49,7 @@ FLAG_MEANINGS = {
 class SpectralEstimator(ArrayFields):
     """A fitted estimator; every field is an array, a number or a word, so that it can be stored as it is.
 
-    With z the whitened root of the response (`nishiki.colour.local.ResponseSpace`):
+    With z the whitened root of the response (`nishiki.colour.fitting.ResponseSpace`):
     `coefficients = linear @ response + anchor * exp(-mean((response - 1)^2) / (2 white_width^2)) + correction(z)`.
     """
 
@@ -124,7 +124,7 @@ def fit_estimator(
     method : {'local', 'wiener', 'paper'}, optional
         `paper`: principal bases and matrix inverse (Tominaga and Tanaka, 2004). `wiener`: linear, from the
         covariance of the training set and the noise. `local`: Wiener and a correction by kernels in the space of the
-        responses (`nishiki.colour.local`).
+        responses (`nishiki.colour.fitting`).
     bases : int or rule, optional
         paper: number of principal bases (default 3, at most N). Others: size K of the output basis, the constant
         included (default 12, wiener at most N + 1), or a rule that gives it (`nishiki.colour.fitting.BasesRule`).
@@ -258,16 +258,13 @@ def estimate_spectra(
 
 
 def _apply(responses, estimator, coefficients, sigma, flags, threads):
-    """Run the kernel over slices of the pixels, one a thread."""
+    """Run the kernel over slices of the pixels, on so many threads."""
     tables = _tables(estimator)
-    count = max(1, min(threads, len(responses) // _PIXELS_A_THREAD))
-    bounds = np.linspace(0, len(responses), count + 1).astype(int)
-    slices = [slice(low, high) for low, high in pairwise(bounds)]
 
     def run(part):
         kernels.apply_estimator(responses[part], tables, coefficients[part], sigma[part], flags[part])
 
-    over_items(run, slices, count)
+    over_items(run, strips(len(responses)), threads)
 
 
 def _tables(e: SpectralEstimator) -> kernels.Tables:

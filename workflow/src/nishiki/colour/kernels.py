@@ -11,7 +11,8 @@ from enum import IntEnum
 import numpy as np
 from numba import njit
 
-from nishiki.colour.local import DARK, TAPER_END, TAPER_START
+TAPER_START, TAPER_END = 1.0, 3.0  # whitened standard deviations beyond the training box
+DARK = 0.05  # mean response at which a correction has half its weight, and light adds to the noise as much as black has
 
 
 class SpectralFlag(IntEnum):
