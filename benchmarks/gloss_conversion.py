@@ -18,8 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import _project  # noqa: F401
 from nishiki.brdf.scene import gloss_table
-from nishiki.brdf.slopes import isotropic_lobe
-from nishiki.brdf.texels.model import GRAZING
+from nishiki.brdf.slopes import GRAZING, isotropic_lobe
 from nishiki.brdf.torrance_sparrow import fresnel, specular
 from nishiki.colour.colour import encode
 from nishiki.stages.export.look import GltfMaterial, best_material, coded_errors

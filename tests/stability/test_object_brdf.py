@@ -6,9 +6,10 @@ from hypothesis import strategies as st
 from stability.cases import case, powers_of_ten, relative, worst_over
 from unit.test_object_brdf import patch, ring
 
+from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.environment import fit_environment, fit_highlight, sample_texels, settle
 from nishiki.brdf.texels.environment import residuals as left_of
-from nishiki.brdf.texels.model import GRAZING, Lighting, factors, predict
+from nishiki.brdf.texels.model import Lighting, factors, predict
 from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, fill, spread
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag

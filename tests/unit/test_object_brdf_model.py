@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
 
+from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.environment import fit_environment, fit_highlight, harmonics, hemisphere
-from nishiki.brdf.texels.model import DISTANT, ENVIRONMENT, GRAZING, POINT, Lighting, ViewLamp, factors, predict
+from nishiki.brdf.texels.model import DISTANT, ENVIRONMENT, POINT, Lighting, ViewLamp, factors, predict
 from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, fill, spread
 from nishiki.brdf.texels.texel_fit import Observed, observed, strengths
 from nishiki.colour.colour import encoding_slope

@@ -18,21 +18,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.model_selection.decision import Decision
-from nishiki.mosaic.adjustment import LEAST_GAIN, Placement
+from nishiki.model_selection.decision import LEAST_GAIN, Decision
+from nishiki.mosaic.adjustment import ROUNDS, Placement
 from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 
-LEAST = 1e-3  # z of a normal, and reflectance
+LEAST = 1e-3  # z of a normal, reflectance, and sigma in radians: a field that claims less counts no more
 Reader = Callable[[str, slice], np.ndarray]
 """Reader of values from the name of a map and a slice of its rows."""
 CELL, SQUARE = 32, 8  # pixels: distance between the areas at which fields are compared, and the areas' side
 NODES = 16  # pixels between places that are computed
 CELLS = 8  # rows of these areas that are compared at a time
-LEAST_SIGMA = 1e-3  # radians: a field that claims less counts no more
 NORMALS = ("normals", "shading_normals")
 COLOURS = ("reflectance", "albedo")
 CHOICES = {"none": None, "constant and slope": 2, "with squares": 5}  # terms of w; None: no levels at all
-ROUNDS = 8
 MOST_LEFT_OUT = 12  # overlaps
 GROUP = 25  # neighbouring samples whose median is judged where an overlap was left out
 
@@ -303,7 +301,7 @@ def blend_band(
         for name in NORMALS:
             if name in maps:
                 maps[name] = turn_normals(maps[name], placement.turn[i], level[..., -2:])
-        weight = np.where(piece.known, piece.depth / np.square(np.maximum(maps["sigma"], LEAST_SIGMA)), 0)
+        weight = np.where(piece.known, piece.depth / np.square(np.maximum(maps["sigma"], LEAST)), 0)
         weight = weight.astype(np.float32)
         here = np.s_[:, piece.columns]
         square[here] += weight * np.square(maps["sigma"])

@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.photometric.consistency import SURE
-from nishiki.photometric.lambert_fit import LEAST_SCALE, none_where_undetermined
+from nishiki.photometric.flags import NOISE
+from nishiki.photometric.lambert_fit import none_where_undetermined
 from nishiki.photometric.order_trials import (
     AXES,
     TILE,
@@ -198,7 +199,7 @@ def _find_exchange(tiles: Tiles, trial: Trial) -> np.ndarray | None:
     The normals are those of all photographs, which two of many hardly turn. Gloss makes exchanges look better as well,
     but then many of them: one is believed that no exchange of two other photographs comes near.
     """
-    if np.nanmedian(trial.misfit) < 2 * LEAST_SCALE:  # there is nothing to gain but rounding
+    if np.nanmedian(trial.misfit) < 2 * NOISE:  # there is nothing to gain but rounding
         return None
     table, order = tabulate_misfits(tiles, trial, np.eye(3)), trial.order.copy()
     own = np.einsum("jjt->jt", table)[:, None]
@@ -266,7 +267,7 @@ def _beyond_doubt(first: tuple[Trial, int], other: tuple[Trial, int]) -> bool:
         return True
     moved, plain = _pattern(first[0].order, other[0].order)
     usual = plain or moved <= _few(len(first[0].order))
-    fitting = np.nanmedian(first[0].misfit) < 2 * LEAST_SCALE  # there is nothing to gain but rounding
+    fitting = np.nanmedian(first[0].misfit) < 2 * NOISE  # there is nothing to gain but rounding
     return residual > SURE and left < HALVED and curl > -DOUBTFUL and usual and not fitting
 
 

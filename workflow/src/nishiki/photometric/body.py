@@ -21,7 +21,7 @@ for gloss adds nothing across w0. s is what the most saturated samples have, for
 
 Neither body nor gloss leaves the plane of w0 and e, so that what the samples show across both is noise: its variance N
 of a channel is added to E^2, and gloss counts as such as far as its variance, mean - (I . e) / (s sqrt C), exceeds
-NOISE times that which noise gives this estimate, N (1 + 1 / s^2) / C. On dark paint noise otherwise passes for gloss.
+UNSURE times that which noise gives this estimate, N (1 + 1 / s^2) / C. On dark paint noise otherwise passes for gloss.
 
 With the normal known, I = c (a + b c + d x^8) (`nishiki.photometric.lobe`) is linear in the terms (a, b, d). Where the
 normals come from that intensity, the terms that predict light are fitted to the mean of the channels along those
@@ -33,9 +33,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from nishiki.brdf.slopes import GRAZING
 from nishiki.errors import UserError
 from nishiki.lanes import BLOCK
-from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
+from nishiki.photometric.flags import NO_ESTIMATE, NOISE, NormalFlag
 from nishiki.photometric.light_selection import VALUES, half_vectors, sum_lights
 from nishiki.photometric.normal_kernels import AT_LEAST, LEAST_FACTOR, PRIOR, WIDTH
 from nishiki.threads import over_rows, strips
@@ -43,8 +44,7 @@ from nishiki.threads import over_rows, strips
 LIT = 0.3  # of the lower mean of a pixel: darker samples are shadow, whose colour is that of the noise
 ERROR = 0.1  # standard deviation E of a sample's error, relative to the pixel's lower mean
 FAINT = 0.05  # saturation below which a colour is not told from errors of the white balance
-MOST = 0.97  # largest t
-NOISE = 6.0  # squared deviations of noise that do not count as gloss: s is that of the samples farthest from grey
+UNSURE = 6.0  # squared deviations of noise that do not count as gloss: s is that of the samples farthest from grey
 CONCENTRATIONS = 2  # times that the less saturated samples are left out
 SMALLEST = np.finfo(np.float32).tiny  # peak that has an inverse in float32
 
@@ -157,10 +157,10 @@ def _weigh(begin, end, observations, valid, out):
             square = saturation[p] * saturation[p]
             freedom = max((count[p] - one) * np.float32(max(channels - 2, 1)), one)
             noise = max((every[p] - other[p] / per_channel) / (lower[p] * lower[p]) / freedom, zero)
-            unsure = np.float32(NOISE) * noise * (one + one / square) * per_channel
+            unsure = np.float32(UNSURE) * noise * (one + one / square) * per_channel
             variance = max(total[p] / max(count[p], one) - unsure, zero)
             share = variance / (variance + noise + np.float32(ERROR**2)) * square / (square + np.float32(FAINT**2))
-            total[p] = one - (min(share, np.float32(MOST)) if saturation[p] > zero else zero)
+            total[p] = one - (share if saturation[p] > zero else zero)
             other[p] = one / (per_peak[p] * (total[p] + square))
         for j in range(lights):
             for p in range(size):
@@ -168,7 +168,7 @@ def _weigh(begin, end, observations, valid, out):
 
 
 def shading_of_mean(
-    intensity, mean, directions, field, *, usable, valid, least_change: float, noise: float = 0.003
+    intensity, mean, directions, field, *, usable, valid, least_change: float, noise: float = NOISE
 ) -> np.ndarray:
     """Fit the body shading along the field's normals to the mean of the channels.
 
@@ -263,10 +263,6 @@ def _solve(sums, right, values, chosen, noise):
     return np.stack([a, b, d, mean]), 3 * (scatter + noise * albedo), good
 
 
-COSINE_FLOOR = 0.02
-"""Samples lit at a smaller cosine carry no usable signal and divide by almost nothing: they are left out."""
-
-
 @dataclass(frozen=True)
 class DiffuseReflectance:
     """Diffuse reflectance (rows, columns, channels) float32, perfect white = 1; lights_used (rows, columns) uint16.
@@ -321,14 +317,14 @@ def _fit(begin, end, samples, directions, surface, mean, out):
         for j in range(len(directions)):
             x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
             body = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z
-            if not (usable[j, p] and body > COSINE_FLOOR):
+            if not (usable[j, p] and body > GRAZING):
                 continue
             if len(terms):
                 half = (body + normals[p, 2]) / np.sqrt(max(np.float32(2) + np.float32(2) * z, np.float32(1e-12)))
                 power = max(half, np.float32(0)) ** 2
                 factor = terms[p, 0] + terms[p, 1] * body + terms[p, 2] * (power * power) ** 2
                 body *= max(factor, np.float32(0))
-                if not body > COSINE_FLOOR:
+                if not body > GRAZING:
                     continue
             factor = one / body if mean else body
             weights += factor * body

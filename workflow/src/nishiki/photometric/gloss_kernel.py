@@ -20,21 +20,18 @@ import numpy as np
 from numba import njit
 
 from nishiki.brdf.gloss_profile import NODES, NODES_PER_UNIT
-from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
-from nishiki.photometric.height import LEAST_NZ
+from nishiki.brdf.slopes import GRAZING
+from nishiki.photometric.flags import FOLDS, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.lambert_fit import FEWEST_LAMPS
 from nishiki.photometric.normal_kernels import LARGEST
 from nishiki.small_matrices import eigenvalues
 
-LANES = 4  # lights are padded to a multiple, unlit: the sums over them then become SIMD code
 # Rows of the scratch of a pixel, a column for each light
 LIT, BODY, BODY_S, BODY_T, GLOSS, GLOSS_S, GLOSS_T, VAR_LEVEL, VAR_COLOUR, W_LEVEL, W_COLOUR = range(11)
 ROWS = W_COLOUR + 1
 LARGEST_STEP = 0.3  # radians
-DAMPINGS = 5  # times at most that a step is damped more
-SETTLED = 1e-3  # radians
-NOTHING = 1e-300  # keeps sums of no weight from 0 / 0: weights are inverse squares of radiances of any unit
-FOLDS = 5  # groups of lamps that are left out in turn
+SETTLED = 1e-3  # radians: a turn of the normal that changes nothing, over which the model is linear
+NOTHING = np.finfo(np.float64).tiny  # keeps sums of no weight from 0 / 0: weights are inverse squares of radiances
 
 
 Pixel = namedtuple("Pixel", "y known rows rho floor")
@@ -231,7 +228,7 @@ def moved(n, t, s, r, out):
     part = LARGEST_STEP / length if length > LARGEST_STEP else 1.0
     s, r = part * s, part * r
     x, y = n[0] + s * t[0] + r * t[3], n[1] + s * t[1] + r * t[4]
-    z = max(n[2] + s * t[2] + r * t[5], LEAST_NZ)
+    z = max(n[2] + s * t[2] + r * t[5], GRAZING)
     scale = 1.0 / np.sqrt(x * x + y * y + z * z)
     out[0], out[1], out[2] = x * scale, y * scale, z * scale
     return length
@@ -242,13 +239,13 @@ def descend(pixel, scene, settings, n, work):
     """Fit from the normal n, in place; the rows and weights are left at the result.
 
     work (18,): tangents 0:6, trial normal 6:9, equations 9:14, gradient 14:18. A step that raises the weighted sum of
-    squares is taken back and damped more, DAMPINGS times at most.
+    squares is taken back and damped more, until it is too short to matter.
     """
     t, trial, equations, gradient = work[0:6], work[6:9], work[9:14], work[14:18]
     y, known, rows, rho, tolerance = pixel.y, pixel.known, pixel.rows, pixel.rho, settings.tolerance
     for i in range(3):
         trial[i] = n[i]
-    damping, before, length, refused, accepted = 1e-3, 0.0, np.inf, 0, 0
+    damping, before, length, accepted = 1e-3, 0.0, np.inf, 0
     while True:
         predict(trial, pixel, scene, settings, t, gradient)
         if accepted == 0:
@@ -256,7 +253,7 @@ def descend(pixel, scene, settings, n, work):
                 rows[W_LEVEL, j] = rows[LIT, j] / rows[VAR_LEVEL, j]
                 rows[W_COLOUR, j] = rows[LIT, j] / rows[VAR_COLOUR, j]
         strengths(y, rows, rho)
-        if accepted == 0 or refused == DAMPINGS or not squares(y, rows, rho) > before * (1.0 + 1e-9):
+        if accepted == 0 or length < SETTLED or not squares(y, rows, rho) > before * (1.0 + 1e-9):
             for i in range(3):
                 n[i] = trial[i]
             damping = max(0.2 * damping, 1e-6) if accepted else damping
@@ -267,10 +264,9 @@ def descend(pixel, scene, settings, n, work):
                 break
             gauss_newton(y, rows, rho, equations)
             before = squares(y, rows, rho)
-            refused, accepted = 0, accepted + 1
+            accepted += 1
         else:
             damping *= 8.0
-            refused += 1
         tangents(n, t)
         d0, d2 = equations[0] * (1.0 + damping) + 1e-12, equations[2] * (1.0 + damping) + 1e-12
         det = d0 * d2 - equations[1] * equations[1]
@@ -386,10 +382,8 @@ def refine_pixels(first, last, observations, valid, scene, settings, fields):
     """
     normals, flags, cost, (lights, _, rotation) = fields.normals, fields.flags, fields.cost, scene
     count, channels = observations.shape[0], observations.shape[2]
-    padded = (count + LANES - 1) // LANES * LANES
-    rows, y, known = np.zeros((ROWS, padded)), np.zeros((channels, padded)), np.zeros(count, np.bool_)
-    rows[VAR_LEVEL], rows[VAR_COLOUR] = 1.0, 1.0
-    weights, spare = np.zeros((2, padded)), np.empty(channels)
+    rows, y, known = np.zeros((ROWS, count)), np.zeros((channels, count)), np.zeros(count, np.bool_)
+    weights, spare = np.zeros((2, count)), np.empty(channels)
     rho, colour, n, best_n = np.empty(channels), np.empty(channels), np.empty(3), np.empty(3)
     work = np.empty(18)
     tolerance = settings.tolerance
@@ -404,7 +398,7 @@ def refine_pixels(first, last, observations, valid, scene, settings, fields):
         pixel = Pixel(y, known, rows, rho, floor)
         for i in range(3):
             n[i] = normals[p, i]
-        n[2] = max(n[2], LEAST_NZ)
+        n[2] = max(n[2], GRAZING)
         value, limit = np.inf, settings.second_start * count * channels
         for attempt in range(3):  # the given normal; the one that mirrors the brightest light; back to the better one
             descend(pixel, scene, settings, n, work)

@@ -25,12 +25,13 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
+from nishiki.photometric.flags import NOISE
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
 ROUNDS = 15  # of reweighting; the gains change by less than their errors after ten
 KINK = 2.0  # robust standard deviations of a pixel's residuals at which the weight of a value is a half (Cauchy)
-LEAST_SCALE = 0.003  # of the albedo: least standard deviation of a pixel's residuals, that of eight bits
 GRAZING = 0.1  # cosine below which a lamp's direct light cannot be predicted, and below whose negative there is none
 PATCHES = 8  # a side, over the picture: groups of pixels that count as one observation each
 FEWEST_LAMPS = 4  # one more than the unknowns of a pixel: fewer predict nothing
@@ -266,7 +267,7 @@ def scale_of(residual: np.ndarray, lit: np.ndarray, albedo: np.ndarray) -> np.nd
     """
     spread = median_of_lights(np.where(lit, np.abs(residual), np.nan))
     usual = np.nanmedian(spread / albedo)
-    return np.maximum(1.4826 * np.fmax(spread, usual * albedo), LEAST_SCALE * albedo)
+    return np.maximum(1.4826 * np.fmax(spread, usual * albedo), NOISE * albedo)
 
 
 def median_of_lights(values: np.ndarray) -> np.ndarray:

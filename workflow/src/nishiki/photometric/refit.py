@@ -22,15 +22,14 @@ import numpy as np
 from numba import njit
 
 from nishiki.lanes import BLOCK, LANES, choose, larger, load, planes, root, smaller, splat, store
-from nishiki.small_matrices import solve_by_cofactors
+from nishiki.photometric.flags import NOISE
+from nishiki.small_matrices import TERMS, solve_by_cofactors
 
-TERMS = 10  # sums of a pixel
 RIDGE = np.float32(1e-6)  # of the trace: keeps degenerate windows of lights finite; biases a fit by less than 1e-4
 FAR = np.float32(3e38)
 # shares of the samples, and bounds in units of the scale of the concentrated fit (docs/notes/stages/separate.md)
 STARTS = 3  # windows of ranks that are tried
 ROUNDS = 2  # fits of each start, and of the accepted samples
-NOISE = 0.003  # relative to the albedo, below which no disagreement is taken seriously
 WINDOW = np.float32(0.4)  # share of the samples in a starting window of ranks
 COVERAGE = np.float32(0.5)  # share of the samples that a fit has to explain: up to half may be spoilt
 ABOVE = np.float32(4.0)  # how many times worse a sample too bright is than one too dark

@@ -20,11 +20,10 @@ there the shadows are to be predicted. `nishiki.model_selection.relighting` choo
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.photometric.flags import FEW_LIGHTS
+from nishiki.photometric.flags import FEW_LIGHTS, NOISE
 from nishiki.photometric.lambert_fit import KINK, median_of_lights
 from nishiki.photometric.light_selection import VALUES, half_vectors, sum_lights
 from nishiki.photometric.normal_kernels import LEAST_FACTOR, PRIOR, WIDTH
-from nishiki.photometric.refit import NOISE
 from nishiki.threads import over_rows
 
 MODELS = ("plain", "directional")

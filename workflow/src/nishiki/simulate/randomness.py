@@ -8,7 +8,7 @@ import numpy as np
 from nishiki.threads import over_rows
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-GOLDEN_RATIO = 0.6180339887498949  # its multiples are even whatever their number
+GOLDEN_RATIO = (math.sqrt(5.0) - 1.0) / 2.0  # its multiples are even whatever their number
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _SHIFT_30, _SHIFT_27, _SHIFT_31, _SHIFT_11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)

@@ -22,7 +22,7 @@ from nishiki.formats.stored import ArrayFields
 from nishiki.goniometry.interpolation import coefficients, evaluate
 
 GRAZING_COSINE = float(np.cos(np.radians(89.0)))  # 1 / cos^2 goes on as a constant beyond 89 degrees
-UPRIGHT = 1e-290  # sine of theta_i below which light is along the normal: the digits of its azimuth are lost
+UPRIGHT = np.finfo(float).tiny  # sine of theta_i below which light is along the normal: its azimuth has lost digits
 _HALF_PI = np.pi / 2
 
 

@@ -42,7 +42,7 @@ from nishiki.brdf.cloth.interface import halves, off_horizon, only_above
 from nishiki.brdf.torrance_sparrow import exp2_negative, fresnel_scalar
 from nishiki.formats.stored import ArrayFields
 from nishiki.lanes import LANES, choose, load, root, splat, store
-from nishiki.threads import STRIPS_A_THREAD, over_items, threads
+from nishiki.threads import over_items, strips
 
 HALF_PI = 0.5 * math.pi
 OPEN = 9.0  # limit of a side that the direction does not come from
@@ -229,7 +229,6 @@ def sums(incident, outgoing, facets, out):
 MODEL_ERROR, NOISE = 0.15, 0.03  # of the logarithm: of the model's errors, and of a measurement
 REACH_HALF, REACH_DIFFERENCE = 0.8, 0.6  # chord between half vectors, radians between difference angles
 LARGEST = 1.0  # logarithm of a ratio that is still taken for a model's error
-BLOCK = 1024  # directions compared with all images at a time: what is computed of them stays in the cache
 
 
 def likeness(first: np.ndarray, second: np.ndarray, quarter: bool) -> np.ndarray:
@@ -264,7 +263,7 @@ def fit_ratio(places: np.ndarray, measured: np.ndarray, modelled: np.ndarray, qu
 def ratio(incident: np.ndarray, outgoing: np.ndarray, images: np.ndarray, weights: np.ndarray, quarter: bool):
     """Compute the factor (n,) of a model at directions (n, 3)."""
     places = places_of(incident, outgoing)
-    parts = [likeness(places[k : k + BLOCK], images, quarter) @ weights for k in range(0, len(places), BLOCK)]
+    parts = [likeness(places[some], images, quarter) @ weights for some in strips(len(places))]
     return np.exp(np.clip(np.concatenate([np.empty(0), *parts]), -LARGEST, LARGEST))
 
 
@@ -272,7 +271,6 @@ WARP, WEFT = 0, 1
 SIDE_ALONG, SIDE_ACROSS = 0, 1
 NODES = (7, 10)  # slopes of either sign, along and across: 280 facets a family
 ANGLES = 65  # of the tables of limits
-FEWEST_ROWS = 128  # that are worth a thread: about 3 ms
 
 
 @dataclass(frozen=True)
@@ -443,9 +441,7 @@ def shape_parts(shape: YarnShape, incident: np.ndarray, outgoing: np.ndarray, *,
 def in_blocks(fill: Callable, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
     """Return out (n, 4), filled by fill(incident, outgoing, out) in blocks of the directions (n, 3), on all threads."""
     out = np.empty((len(incident), 4))
-    block = max(FEWEST_ROWS, -(-len(incident) // (STRIPS_A_THREAD * threads())))
-    rows = [slice(first, first + block) for first in range(0, len(incident), block)]
-    over_items(lambda some: fill(incident[some], outgoing[some], out[some]), rows)
+    over_items(lambda some: fill(incident[some], outgoing[some], out[some]), strips(len(incident)))
     return out
 
 

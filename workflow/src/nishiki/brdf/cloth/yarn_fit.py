@@ -13,7 +13,7 @@ directions around them (`fit_ratio`).
 
 Choice of oblique images: the fit to normal incidence leaves an uncertainty of the parameters (its information matrix),
 which makes errors of predictions that go together; beside it a model has errors of its own, alike in directions close
-to each other (DISCREPANCY, ERROR_REACH). Each step takes the image after which the expected squared error, summed over
+to each other (MISS_OBLIQUE, ERROR_REACH). Each step takes the image after which the expected squared error, summed over
 all candidates with the cosine of the view and relative to each incidence's level, is least (I-optimal design; Fedorov,
 Theory of optimal experiments, 1972), and conditions both on it. No measured value enters, so the choice can be made
 before the images are taken.
@@ -340,7 +340,6 @@ def correction(brdf: YarnFacets, basic, *, steepest: float) -> np.ndarray:
 
 STEEPEST = np.radians(80.0)  # views beyond are left out: a goniometer's cosines are least certain there
 CANDIDATES = 700  # evenly thinned from all: their covariance is a full matrix
-DISCREPANCY = 0.12  # standard deviation of the model's own error, of the value
 ERROR_REACH = 0.7  # distance of pairs of unit vectors (light, view) at which these errors have nothing in common
 NOISE = 0.03, 0.01  # of a measurement, of the value and of its incidence's level
 SLOPE_STEP = 0.02  # of central differences, in units of the search
@@ -361,7 +360,7 @@ def choose_oblique(fit: ShapeFit, incident: np.ndarray, outgoing: np.ndarray, co
     # the body's albedo is eliminated from the fit; here it counts as known within a factor of 2.7
     parameters = np.zeros((size + 1, size + 1))
     parameters[:size, :size], parameters[size, size] = np.linalg.inv(fit.information), 1.0
-    own = DISCREPANCY**2 * np.outer(values, values) * likeness(incident, outgoing)
+    own = MISS_OBLIQUE**2 * np.outer(values, values) * likeness(incident, outgoing)
     covariance = slopes @ parameters @ slopes.T + own
     noise = (NOISE[0] * values) ** 2 + (NOISE[1] * level) ** 2
     weight = outgoing[:, 2] / level**2

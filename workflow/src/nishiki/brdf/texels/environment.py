@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.texels.model import GRAZING, HARMONICS, TO_LAMP_FRAME, Lighting, factors
+from nishiki.brdf.slopes import GRAZING
+from nishiki.brdf.texels.model import HARMONICS, TO_LAMP_FRAME, Lighting, factors
 from nishiki.brdf.texels.texel_fit import Tile
 from nishiki.colour.colour import encoding_slope
 from nishiki.geometry.camera import Camera

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from nishiki.brdf.slopes import GRAZING
 from nishiki.errors import UserError
 from nishiki.formats.stored import PlainFields
 from nishiki.geometry.camera import Camera
@@ -113,7 +114,6 @@ def _rows(values) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(float(v) for v in row) for row in values)
 
 
-GRAZING = 0.05  # cos(theta_r) of 87 degrees
 _GRAZING = np.float32(GRAZING)
 _TINY = np.float32(1e-30)
 _ZERO, _QUARTER, _HALF, _ONE, _THREE, _FOUR = (np.float32(v) for v in (0, 0.25, 0.5, 1, 3, 4))

@@ -13,7 +13,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
-from nishiki.brdf.texels.model import GRAZING, ViewLamp, factors, predict
+from nishiki.brdf.slopes import GRAZING
+from nishiki.brdf.texels.model import ViewLamp, factors, predict
 from nishiki.brdf.texels.parameters import Parameters
 from nishiki.colour.colour import encode, encoding_slope
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from nishiki.colour.colour import illuminant, white_xyz, xyz_matrix
 
-TOP = 255  # largest code
+TOP = int(np.iinfo(np.uint8).max)  # largest code
 EVEN_TOP = TOP - 1  # of tilts, so that none has a code
 LAMPS = ("D65", "A", "F2", "F11")
 """Lamps under which colours have to be right."""

@@ -41,9 +41,9 @@ from nishiki.simulate.painting.settings import (
     xyz_tables,
 )
 from nishiki.simulate.randomness import subkey
+from nishiki.threads import strips
 
 WAVELENGTHS_NM = np.arange(400.0, 700.5, 5.0)
-_BAND_ROWS = 256  # in memory
 
 
 @dataclass(frozen=True)
@@ -105,9 +105,8 @@ def true_spectra(settings: SimulationSettings) -> np.ndarray:
 
 
 def bands(settings: SimulationSettings) -> Iterator[slice]:
-    """Yield the row slices in which the pictures are computed; they bound the memory and do not change a byte."""
-    for start in range(0, settings.rows, _BAND_ROWS):
-        yield slice(start, min(start + _BAND_ROWS, settings.rows))
+    """Cut the rows into slices, in which the pictures are computed; they bound the memory and do not change a byte."""
+    return strips(settings.rows)
 
 
 def photograph(thing: SimulatedObject, lamp: LampPose, settings: SimulationSettings, tables: Tables) -> Photograph:

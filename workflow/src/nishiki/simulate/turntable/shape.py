@@ -119,7 +119,6 @@ def settle(points: np.ndarray, rounds: int) -> tuple[np.ndarray, np.ndarray]:
     return points, slope / np.maximum(np.linalg.norm(slope, axis=0), 1e-12)
 
 
-_BATCH = 4096  # points at a time
 _COARSE_MM = 5.0
 _CREASE = 0.9  # cosine between the gradient and the mean normal of the triangles
 
@@ -176,7 +175,7 @@ def _march(spacing: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _settled(vertices: np.ndarray, faces: np.ndarray) -> SimulatedSurface:
     points, normals, parts = np.empty_like(vertices), np.empty_like(vertices), np.empty((len(vertices), len(PARTS)))
-    for some in strips(len(points), _BATCH):
+    for some in strips(len(points)):
         place, slope = settle(vertices[some].T, 3)
         points[some], normals[some], parts[some] = place.T, slope.T, part_distances(place).T
     # Where two parts meet in a crease the gradient is that of one of them only: there use the triangles'.

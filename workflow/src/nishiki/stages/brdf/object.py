@@ -7,8 +7,9 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.store import Texels
+from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.environment import Sample, sample_texels, settle
-from nishiki.brdf.texels.model import GRAZING, Lighting, factors
+from nishiki.brdf.texels.model import Lighting, factors
 from nishiki.brdf.texels.object_fit import fit_lambert, fit_object
 from nishiki.brdf.texels.parameters import ParameterWriter
 from nishiki.brdf.texels.texel_fit import Capture, Tile

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
 SAMPLE_PIXELS = 15_000  # of the scene, for its finishes
 RELIGHTING_PIXELS = 2000  # likewise, for the model that predicts lamps
 CLEAR = 1.0  # cost a value above that of the cheapest finish that counts no more: else borders follow the larger misfit
-REACH = 2  # of these pixels, on each side, whose costs are averaged: 15 pixels of the picture
 
 
 @dataclass(frozen=True)
@@ -207,7 +206,7 @@ def predicted_error(parts: Sequence[Finish]) -> float:
 
 def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...], Decision | None]:
     """Choose the partition that best predicts held-out lamps; one more finish must improve it by LEAST_GAIN."""
-    from nishiki.model_selection.relighting import LEAST_GAIN
+    from nishiki.model_selection.decision import LEAST_GAIN
 
     chosen = tried[0]
     for parts in tried[1:]:
@@ -255,16 +254,17 @@ def finish_labels(
     """Return the finish of each pixel of a band, (rows, columns) uint8: regions of the capture, else the cheapest fit.
 
     Every STRIDE-th pixel of every STRIDE-th row is fitted with the gloss of each finish; costs are averaged over
-    2 REACH + 1 of them each way, so that the bytes do not depend on the band.
+    a cell of the picture, so that the bytes do not depend on the band.
     """
     if frames.regions is not None:
         return frames.regions[band]
     from scipy.ndimage import correlate1d
 
-    from nishiki.photometric.gloss_scene import refined
+    from nishiki.photometric.gloss_scene import SIDE, refined
 
+    reach = SIDE // STRIDE // 2
     rows, columns = frames.shape
-    first, last = max(band.start // STRIDE - REACH, 0), min((band.stop - 1) // STRIDE + REACH, (rows - 1) // STRIDE)
+    first, last = max(band.start // STRIDE - reach, 0), min((band.stop - 1) // STRIDE + reach, (rows - 1) // STRIDE)
     wide = slice(first * STRIDE, min(last * STRIDE + STRIDE, rows))
     shape = (last - first + 1, -(-columns // STRIDE))
     costs, values = np.zeros((len(finishes.parts), *shape)), np.zeros(shape)
@@ -275,7 +275,7 @@ def finish_labels(
         for cost, part in zip(costs, finishes.parts, strict=True):
             cost[at] = refined(tile, part.profile).cost[0] / len(frames.channels)
     costs = np.minimum(costs, costs.min(axis=0) + CLEAR * values)
-    window = np.ones(2 * REACH + 1)
+    window = np.ones(2 * reach + 1)
     for axis in (0, 1):
         values = correlate1d(values, window, axis=axis, mode="constant")
         costs = correlate1d(costs, window, axis=axis + 1, mode="constant")
