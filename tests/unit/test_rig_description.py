@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 from refusals import expect_facts, refused
+from simulated_devices import SimulatedComXim, SimulatedDialogue, SimulatedGrbl
 
 from nishiki.cli import main
 from nishiki.errors import UserError
@@ -14,8 +15,7 @@ from nishiki.rig import described
 from nishiki.rig import device as lines
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
-from nishiki.simulate.rig.devices import SimulatedComXim, SimulatedDome, SimulatedGrbl
-from nishiki.simulate.rig.line import SimulatedDialogue
+from nishiki.simulate.rig.bench import SimulatedDome
 
 OWN_CAMERA = """
 from pathlib import Path

@@ -159,32 +159,6 @@ def store(typing, array, place, value):
 
 
 @intrinsic
-def load_three(typing, array, row, start):
-    """Load three channels of LANES pixels from `start` on of a row of a float32 array (rows, pixels, 3)."""
-    if not (
-        isinstance(array, types.Array) and array.layout == "C" and array.ndim == 3 and array.dtype == types.float32
-    ):
-        return None
-
-    def build(context, builder, sig, args):
-        numbers = context.make_array(array)(context, builder, args[0])
-        place = builder.add(builder.mul(args[1], builder.extract_value(numbers.shape, 1)), args[2])
-        together = ir.VectorType(ir.FloatType(), 3 * LANES)
-        first = builder.gep(numbers.data, [builder.mul(place, ir.Constant(place.type, 3))])
-        mixed = builder.load(builder.bitcast(first, together.as_pointer()), align=4)
-        places = ir.VectorType(INDEX, LANES)
-        channels = [
-            builder.shuffle_vector(
-                mixed, ir.Constant(together, ir.Undefined), ir.Constant(places, [3 * p + k for p in range(LANES)])
-            )
-            for k in range(3)
-        ]
-        return context.make_tuple(builder, sig.return_type, channels)
-
-    return types.UniTuple(NUMBERS, 3)(array, types.intp, types.intp), build
-
-
-@intrinsic
 def splat(typing, number):
     """Fill all lanes with a float32 or float64 number."""
     kind = {single: kind for kind, single in SINGLE.items()}.get(number)
