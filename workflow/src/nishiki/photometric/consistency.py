@@ -36,7 +36,6 @@ FAINT = 0.1  # gain below which a photograph shows the room and the noise, not i
 LEAST_AMBIENT = 0.02  # of the albedo: less turns normals by less than half a degree, and lenses and walls give as much
 REPEATED = 0.25  # of the difference that two lamps should make: the same lamp twice leaves the noise of the camera
 MOST_AMBIENT = 0.4  # of a lamp: more cannot be told from an even object, where .41 to 1.1 seemed to be
-WORSE = 2.0  # times the misfit without ambient light: shadows prove some that misfits more, up to 1.5
 LEAST_FLOOR, LEAST_BEHIND = 0.3, 0.75  # of the ambient light: the darkest shadows, and the usual ones behind the object
 # of the ambient light from fit to fit: .02 to .11 on six measured sets, .36 and .8 on a glossy painting
 MOST_DRIFT = 0.2
@@ -134,9 +133,9 @@ def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray
         floor, sigma, ambient = deepest_shadows(values, replace(rest, ambient=ambient), albedo, patches)
         levels.append(ambient)
     else:
-        misfit, before = (np.nanmedian(np.abs(one.alone)) / np.nanmedian(values) for one in (rest, fit))
+        misfit = np.nanmedian(np.abs(rest.alone)) / np.nanmedian(values)
         steady = np.ptp(levels[1:]) < MOST_DRIFT * ambient
-        believed = np.isfinite(dark) or (steady and misfit < min(LARGEST_MISFIT / 2, WORSE * before))
+        believed = np.isfinite(dark) or (steady and misfit < LARGEST_MISFIT / 2)
         cosine = np.einsum("jsa,sa->js", directions.reshape(len(values), -1, 3), rest.normals)
         behind = (values / albedo)[cosine < -GRAZING * albedo]
         behind = behind[np.isfinite(behind)]
