@@ -1,5 +1,7 @@
 """The fit of a whole object: of the model itself, of another one, and where nothing can be known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -138,6 +140,25 @@ def test_texels_whose_width_ends_at_its_bound_are_counted():
     wide = fitted(*scene(simplified(sigma=2.5, ks=(2.0, 2.0, 2.0))))[1]
     assert inside.at_bound_share < 0.01
     assert wide.at_bound_share > 0.2
+
+
+def test_views_left_out_choose_how_freely_gloss_varies():
+    """One gloss under wrong normals, which move highlights, and two finishes in squares of four texels."""
+
+    def squares(positions, kd, cos_i, cos_r, alpha):
+        i, j = np.meshgrid(np.arange(SIZE) // 4, np.arange(SIZE) // 4, indexing="ij")
+        dull = (i + j) % 2 == 1
+        lobe = np.where(dull, 0.1, 0.3) * np.exp(-(alpha**2) / (2 * np.where(dull, 0.4, 0.12) ** 2)) / cos_r
+        return kd * cos_i[..., None] + lobe[..., None]
+
+    tiles, lighting = scene(simplified(), noise=0.002)
+    for number, tile in tiles.items():
+        bumps = 0.06 * np.sin(np.array([0.9, 0.7, 0.8]) * tile.positions[..., [1, 2, 0]])
+        normals = tile.normals + bumps.astype(np.float32)
+        normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+        tiles[number] = replace(tile, normals=normals)
+    assert fitted(tiles, lighting)[1].freedom == 0
+    assert fitted(*scene(squares, noise=0.002))[1].freedom == 1
 
 
 @pytest.mark.parametrize(("noise", "least_db"), [(0.0, 45), (0.003, 43)])

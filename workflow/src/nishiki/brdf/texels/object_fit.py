@@ -10,6 +10,7 @@ uncertainty.  Passes 1 and 2 leave some twenty bytes a texel in memory; texels a
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -27,6 +28,8 @@ SCATTER_KS = 0.5  # of K_s, relative to its mean: first guess
 LEAST_SCATTER = 0.02  # of either
 SUBSET = 2000  # texels of a tile, at most, that the scatter is judged by
 DEFAULT_SIGMA = 0.2  # radians, where no highlight was seen on the whole object
+FREEDOMS = (1.0, 0.25, 0.0)  # factors on the scatter that are tried
+JUDGED = 8  # tiles, about, on which they are
 MOST_PULL = 1e20  # a precision that no data compare with
 KS_UNCONSTRAINED = 0.1  # standard deviation of a texel's own K_s, relative to the mean K_d, above which it says nothing
 
@@ -45,6 +48,7 @@ class ObjectFit:
     median_sigma: float | None = None  # radians, of the texels with a highlight
     scatter_log_sigma: float = 0.0
     scatter_ks: float = 0.0
+    freedom: float = 1.0  # factor on both, of FREEDOMS
     noise: float = 0.0  # root mean square of the weighted residuals of the median texel
     at_bound_share: float = 0.0  # own sigma at the end of its range (SIGMA_BOUNDS): the neighbours' is taken there
 
@@ -70,23 +74,49 @@ def fit_object(
     # Far from the world's origin cells are counted from a multiple of FAR cells near the first texel.
     origin = FAR * edge * np.rint(first_texel.astype(float).sum(axis=0) / (FAR * edge))
     lattice = Lattice(edge, tuple(origin.tolist()))
-
-    def every(function):
-        return list(in_threads(function, range(len(tiles)), threads))
-
-    first = every(lambda k: _First.of(read(tiles[k]), capture, lattice))
-    widths = _Widths.of(first, lattice)
-    second = every(lambda k: _Second.of(read(tiles[k]).joined, capture, widths, first[k], lattice))
-    gloss = _Gloss.of(second, first, lattice)
+    freedom = _choose_freedom(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
+    passes = _Passes.of(read, tiles, capture, lattice, freedom, threads)
 
     def finish(k: int) -> tuple[np.ndarray, float, int]:
         tile = read(tiles[k]).joined
-        parameters = _third(tile, capture, widths, gloss, first[k])
+        parameters = _third(tile, capture, passes.widths, passes.gloss, passes.first[k])
         write(tiles[k], parameters)
         return _counts(parameters.flags), *capture.squares(parameters, tile)
 
-    finished = every(finish)
-    return _described(first, widths, gloss, finished)
+    finished = list(in_threads(finish, range(len(tiles)), threads))
+    return replace(_described(passes.first, passes.widths, passes.gloss, finished), freedom=freedom)
+
+
+def _choose_freedom(
+    read: Callable[[int], Tile], tiles: list[int], capture: Capture, lattice: Lattice, threads: int
+) -> float:
+    """Choose the factor on the scatter whose fit to two thirds of the views serves the others best, on some tiles.
+
+    Wrong normals and shapes of the lobe that the model lacks scatter the texels' estimates, too, far beyond their
+    uncertainty; a texel that follows its own then shows a highlight where the next view has none. A view is predicted
+    as between captured ones: by the model and the mean of what it leaves in the views before and after.
+    """
+    hidden = np.arange(len(capture.centres)) % 3 == 1
+
+    def shown(number: int) -> Tile:
+        tile = read(number)
+        return replace(tile, visible=tile.visible & ~hidden[:, None, None])
+
+    def error(k: int, passes: _Passes) -> float:
+        tile, total = read(tiles[k]).joined, 0.0
+        fitted = _third(shown(tiles[k]).joined, capture, passes.widths, passes.gloss, passes.first[k])
+        for o in range(1, len(hidden) - 1, 3):
+            seen = tile.visible[o - 1 : o + 2].all(axis=0) & tile.inside
+            before, here, after = (capture.left(fitted, tile, view, seen) for view in (o - 1, o, o + 1))
+            total += float(np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64))
+        return total
+
+    errors, first = [], None
+    for freedom in FREEDOMS:
+        passes = _Passes.of(shown, tiles, capture, lattice, freedom, threads, first)
+        first = passes.first
+        errors.append(sum(in_threads(partial(error, passes=passes), range(len(tiles)), threads)))
+    return FREEDOMS[int(np.argmin(errors))]
 
 
 def spacing(tiles: list[Tile]) -> float:
@@ -130,14 +160,14 @@ class _Widths:
     scatter: float
 
     @classmethod
-    def of(cls, first: list[_First], lattice: Lattice) -> "_Widths":
+    def of(cls, first: list[_First], lattice: Lattice, freedom: float) -> "_Widths":
         around = Neighbourhood(lattice, 1, [f.part for f in first])
         default = np.log([DEFAULT_SIGMA])
         guess = around.field(1 / SCATTER_SIGMA**2, default)
         log_sigma = np.concatenate([f.fit.log_sigma[:: f.stride] for f in first] or [np.empty(0)])
         information = np.concatenate([f.fit.information[:: f.stride] for f in first] or [np.empty(0)])
         near = np.concatenate([guess.at(f.sample)[:, 0] for f in first] or [np.empty(0)])
-        scatter = max(_scatter(log_sigma - near, information, SCATTER_SIGMA), LEAST_SCATTER)
+        scatter = max(freedom * _scatter(log_sigma - near, information, SCATTER_SIGMA), LEAST_SCATTER)
         return cls(around.field(1 / scatter**2, default), scatter)
 
     def sigma(self, positions: np.ndarray, log_sigma: np.ndarray, information: np.ndarray) -> np.ndarray:
@@ -184,7 +214,7 @@ class _Gloss:
     level: float  # mean K_d
 
     @classmethod
-    def of(cls, second: list[_Second], first: list[_First], lattice: Lattice) -> "_Gloss":
+    def of(cls, second: list[_Second], first: list[_First], lattice: Lattice, freedom: float) -> "_Gloss":
         # of the observations that K_s is solved from: with components all light, whose diffuse part fits less well
         noise = texel_fit.noise_of(np.concatenate([s.residual for s in second] or [np.empty(0)]))
         channels = second[0].ks.shape[1] if second else 1
@@ -195,7 +225,7 @@ class _Gloss:
         apart = np.concatenate([(s.ks - rough.at(s.sample)).mean(axis=1) for s in second] or [np.empty(0)])
         information = np.concatenate([s.information for s in second] or [np.empty(0)])
         scatter = _scatter(apart, information / noise**2, guess)
-        scatter = max(scatter, LEAST_SCATTER * guess / SCATTER_KS)
+        scatter = max(freedom * scatter, LEAST_SCATTER * guess / SCATTER_KS)
         levels = [f.fit.kd.mean(dtype=float) for f in first if len(f.texel)]
         level = float(np.mean(levels)) if levels else 0.0
         return cls(around.field(min((noise / scatter) ** 2, MOST_PULL), mean), scatter, noise, level)
@@ -204,6 +234,32 @@ class _Gloss:
     def pull(self) -> float:
         """Precision of the prior, in the units of a texel's information."""
         return min((self.noise / self.scatter) ** 2, MOST_PULL)
+
+
+@dataclass(frozen=True)
+class _Passes:
+    """The first two passes over all tiles."""
+
+    first: list[_First]
+    widths: _Widths
+    gloss: _Gloss
+
+    @classmethod
+    def of(
+        cls, read: Callable[[int], Tile], tiles: list[int], capture: Capture, lattice: Lattice, freedom: float,
+        threads: int, first: list[_First] | None = None,
+    ) -> "_Passes":  # fmt: skip
+        """Run them; freedom: factor on the scatter about the neighbours; first: pass 1, where it has been made."""
+        numbers = range(len(tiles))
+        if first is None:
+            first = list(in_threads(lambda k: _First.of(read(tiles[k]), capture, lattice), numbers, threads))
+        widths, own = _Widths.of(first, lattice, freedom), first
+
+        def second(k: int) -> _Second:
+            return _Second.of(read(tiles[k]).joined, capture, widths, own[k], lattice)
+
+        gloss = _Gloss.of(list(in_threads(second, numbers, threads)), first, lattice, freedom)
+        return cls(first, widths, gloss)
 
 
 def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: _First) -> Parameters:

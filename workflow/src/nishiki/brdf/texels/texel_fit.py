@@ -155,15 +155,19 @@ class Capture:
     def squares(self, parameters: Parameters, tile: Tile) -> tuple[float, int]:
         """Sum the squared errors of the model alone, in the capture's encoding, and count the finite samples."""
         total, count = 0.0, 0
-        joined = tile.joined.values
+        tile = tile.joined
         for o in np.flatnonzero(tile.visible.reshape(len(tile.visible), -1).any(axis=1)):
             seen = tile.visible[o] & tile.inside
-            error = encode(self.predicted(parameters, tile, int(o), seen), self.encoding)
-            error = error - encode(joined[o][seen], self.encoding)
+            error = self.left(parameters, tile, int(o), seen)
             error = error[np.isfinite(error)]
             total += float(np.sum(error.astype(np.float64) ** 2))
             count += error.size
         return total, count
+
+    def left(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
+        """Subtract the encoded total radiance of a joined tile from the predicted one, as `predicted`."""
+        found = encode(self.predicted(parameters, tile, observation, texels), self.encoding)
+        return found - encode(tile.values[observation][texels], self.encoding)
 
     def predicted(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
         """Predict total radiance (..., channels) of one observation of a tile, or of texels (an index into (T, T))."""
