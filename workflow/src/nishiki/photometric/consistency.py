@@ -47,7 +47,6 @@ MOST_COURSE = 0.5  # deviation of log strengths that are linear over the directi
 LARGEST_MISFIT = 0.1  # of the brightness: where the photographs are predicted worse, nothing is concluded from them
 HIGHLIGHT = np.cos(np.radians(20.0))  # between normal and half vector: broader gloss is as good as diffuse
 LEAST_MATT = 0.25  # of a lamp's samples that hold no gloss: of fewer, its strength is not determined
-AGREEING = 1.4  # factor between the widths with and without the samples that may hold gloss
 EXPLAINED = 0.9  # of the robust misfit that near lamps leave: a wrong law of reflection reached .96
 LEAST_TURN_DEG = 2.5  # by which far lamps turn the normals in the median: gloss on a flat object reached 2.1
 LAW_ERROR = 0.1  # of the width, by which rough and glossy matter shift it: 0 to 0.2 under a ring of lamps
@@ -353,12 +352,13 @@ def measure_width(values: np.ndarray, vectors: np.ndarray) -> NearLamps | None:
     slopes = [-n[:, :2] / np.maximum(n[:, 2:], STEEPEST) for n in (before, after)]
     middle = x[:, :2] - x[:, :2].mean(axis=0)
     bend = ((slopes[0] - slopes[1]) * middle).sum() / (middle**2).sum()
+    sigma = float(np.hypot(near.width_sigma, LAW_ERROR * near.width))
     return NearLamps(
         unit * near.width,
-        unit * float(np.hypot(near.width_sigma, LAW_ERROR * near.width)),
+        unit * sigma,
         float(cost[1] / max(cost[0], 1e-12)),
         float(np.nanmedian(np.abs(_residuals(near)) / np.linalg.norm(near.normals, axis=1))),
-        bool(near.width > 0 and 1 / AGREEING < first / near.width < AGREEING),
+        bool(near.width > 0 and abs(first - near.width) < SURE * sigma),
         float(np.median(turned)),
         -float(bend) / 8,  # of a paraboloid over half the width
         near.gains,
