@@ -51,7 +51,6 @@ from nishiki.formats.text_tables import expect_rows, reading
 
 LINES = 5  # of a camera
 POINTS = 1000  # that are compared with the sizes of the photographs
-OUTSIDE = 1.0  # pixels by which a point may lie outside of its photograph
 
 
 def read_bundler(path: Path, pictures: Pictures) -> Registration:
@@ -84,7 +83,7 @@ def read_bundler(path: Path, pictures: Pictures) -> Registration:
                 unplaced.append(name)
                 continue
             rows, columns = pictures.size(name, path.name)
-            if 2 * x > columns + OUTSIDE or 2 * y > rows + OUTSIDE:
+            if 2 * x > columns or 2 * y > rows:
                 what = f"expected the photograph that Bundler was given, of {2 * x:.0f} x {2 * y:.0f} pixels or more"
                 problems.append(error("camera-values", name, what, found=f"{columns} x {rows}"))
             pose = GL @ np.column_stack([rigid(camera[3:12].reshape(3, 3)), camera[12:]])

@@ -20,6 +20,7 @@ from nishiki.formats.picture_files import Exif, ImageHeader, several_layers
 from nishiki.formats.problems import CaptureError, Problem, refuse, warning
 
 SATURATED = 0.98  # of full scale, from which pixels count as saturated before a capture states more
+EXPOSURE_STEP = 0.12  # relative: cameras round exposures to thirds of a stop, and so by a sixth of one
 SAME_EXPOSURE = 0.01  # cameras that measure the exposure time write it with such differences
 FOLDERS = ("frames", "white", "dark", "ambient", "silhouettes")
 

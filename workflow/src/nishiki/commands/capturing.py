@@ -16,11 +16,10 @@ import click
 from nishiki.capture.options import ConvertOptions
 from nishiki.commands.declare import Group, apply, command, option
 from nishiki.errors import UserError, printable
-from nishiki.formats.problems import group_problems
+from nishiki.formats.problems import group_problems, name_some
 from nishiki.installation import COMMAND
 from nishiki.progress import Progress
 
-SHOWN = 8  # channels of a table that are listed
 TO_COMPLETE = {
     "plane": "camera sensitivities, illuminant, pixel_pitch_mm",
     "turntable": "lights, turntable.mesh, turntable.unit, turntable.background",
@@ -136,9 +135,7 @@ def convert(source: str, capture: str | None, list_only: bool, unsealed: bool, *
     made = convert_source(Path(source), Path(capture), given, checked=not unsealed)
     things = "measurements" if made.geometry == "goniometer" else "photographs"
     if made.channels:
-        names = made.channels
-        shown = names if len(names) <= SHOWN else (*names[: SHOWN - 1], "...", names[-1])
-        print(f"{len(names)} channels, taken to be in 1/sr: {', '.join(shown)}")
+        print(f"{len(made.channels)} channels, taken to be in 1/sr: {name_some(made.channels)}")
     for problem in group_problems(made.warnings):
         print(f"warning: {problem}", file=sys.stderr)
     if unsealed:

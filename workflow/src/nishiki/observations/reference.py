@@ -17,7 +17,7 @@ from nishiki.observations.frames import FrameReader
 from nishiki.observations.kernels import block_levels, count_outliers
 from nishiki.observations.linearise import Edges
 
-TOO_DARK = 0.02  # of full scale: below it noise and rounding are several percent of the board
+NOISE = 0.02  # of full scale: below it noise and rounding are several percent of a board; a dark pixel above it is hot
 BAD_SHARE = 0.25  # of a block's samples
 MIN_GOOD_BLOCKS = 0.5  # share below which a board is refused
 
@@ -61,10 +61,10 @@ def white_field(
     levels, unusable = block_levels(codes, table, *edges, float(saturated), float(clip))
     board = levels - dark
     bright_share = float((codes >= saturated).any(axis=2).mean())
-    least = TOO_DARK
+    least = NOISE
     if codes.dtype.kind != "u":  # float samples have no full scale: relative to their brightest
         brightest = float(board[np.isfinite(board)].max(initial=0.0))
-        least = max(TOO_DARK * brightest, float(np.finfo(np.float32).tiny))
+        least = max(NOISE * brightest, float(np.finfo(np.float32).tiny))
     with np.errstate(invalid="ignore"):
         too_dark = ~(board >= least)
         bad = (too_dark | (unusable > BAD_SHARE)).any(axis=2)
@@ -90,13 +90,12 @@ def _unusable_board(name: str, bright_share: float, board: np.ndarray) -> Proble
         remedy = "Expose the board less (give exposure_s) or use a grey board with its reflectance"
         return error("white-saturated", name, "white board is saturated", found=found, remedy=remedy)
     level = float(np.nanmedian(board)) if np.isfinite(board).any() else 0.0
-    found, expected = f"median {100 * level:.2f} % of full scale", f"at least {100 * TOO_DARK:g} %"
+    found, expected = f"median {100 * level:.2f} % of full scale", f"at least {100 * NOISE:g} %"
     remedy = "Expose the board longer (give exposure_s), or check that it fills the picture"
     return error("white-dark", name, "white board is too dark or uneven", expected=expected, found=found, remedy=remedy)
 
 
-HOT = 0.02  # of full scale above its block in the dark; see `hot_limit` for samples without a full scale
-DEAD = 0.1  # of its block's level on the white board
+DEAD = 0.1  # of the light around it on a white board: a pixel with less is dead
 
 
 @dataclass(frozen=True)
@@ -193,19 +192,19 @@ def measure_room(reader: FrameReader, darks: DarkField, tick: Callable[[str], No
 
 
 def hot_limit(reader: FrameReader, edges: Edges) -> float:
-    """Compute the linear value above its block from which a dark pixel is hot: HOT of full scale, at any bit depth.
+    """Compute the linear value above its block from which a dark pixel is hot: NOISE of full scale, at any bit depth.
 
     Float samples have a full scale only where the capture says from which value they are saturated; else the brightest
     block of the first white board, or of the first photograph of the object, stands for it.
     """
     if reader.dtype.kind == "u":
-        return HOT
+        return NOISE
     if np.isfinite(reader.saturated):
-        return HOT * float(reader.saturated)
+        return NOISE * float(reader.saturated)
     codes = reader.read((reader.capture.frames_of("white") or reader.capture.observed)[0])
     levels, _ = block_levels(codes, reader.table, *edges, np.inf, -np.inf)
     brightest = float(np.max(levels, initial=0, where=np.isfinite(levels)))
-    return HOT * brightest if brightest > 0 else np.inf
+    return NOISE * brightest if brightest > 0 else np.inf
 
 
 def _dark_problems(reader: FrameReader, exposures: tuple[float | None, ...]) -> tuple[Problem, ...]:

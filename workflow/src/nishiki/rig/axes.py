@@ -20,7 +20,6 @@ from pydantic import Field, model_validator
 from nishiki.artifacts.closed import Closed
 from nishiki.rig.device import (
     ANSWER_S,
-    GREETING_S,
     MOVE_S,
     POLL_S,
     Baud,
@@ -38,7 +37,6 @@ RESET = "\x18"
 """Ctrl-X: restarts the controller at once."""
 STANDS_WITHIN = 0.02
 """Tolerance of a reached position in the controller's units: it reports three decimals of whole steps."""
-MM_PER_INCH = 25.4  # exact
 
 ERRORS = {
     5: "Homing is switched off. Remedy: connect limit switches and set $22=1",
@@ -89,7 +87,7 @@ class Grbl:
         self.alarmed = False
         with closed_on_failure(self.line):
             # Most boards restart when their port is opened; one that is reached by USB itself does not.
-            greeting = self.line.greeting(GREETING, GREETING_S) or self._restart()
+            greeting = self.line.greeting(GREETING, ANSWER_S) or self._restart()
             if re.search(TOO_OLD, greeting):
                 raise self._failure(f"expected GRBL 1.1 or newer, found {greeting!r}. Remedy: install GRBL 1.1")
 
@@ -118,8 +116,10 @@ class Grbl:
             _, position = self._wait_until_idle(end)
             if abs(position[letter] - target) <= STANDS_WITHIN:
                 return
+            from scipy.constants import inch  # in metres
+
             found = f"sent 'G53 G0 {word}', axis {letter} stands at {position[letter]:.4f}, expected {target:.3f}"
-            if abs(position[letter] * MM_PER_INCH - target) <= STANDS_WITHIN:
+            if abs(position[letter] * 1e3 * inch - target) <= STANDS_WITHIN:
                 raise self._failure(f"{found}, which is the same in inches. Remedy: set $13=0 and run again")
             if time.monotonic() > end:
                 remedy = "check what holds it, then run again; the axes are homed first"
@@ -135,10 +135,10 @@ class Grbl:
         """Reset the controller and return its greeting."""
         self.line.discard()  # after some alarms it restarts by itself, and its greeting is still to be read
         self.line.send(RESET, ending=False)
-        greeting = self.line.greeting(GREETING, GREETING_S)
+        greeting = self.line.greeting(GREETING, ANSWER_S)
         if not greeting:
             raise DeviceLost(
-                f"{self.device} at {self.port}: sent Ctrl-X, received no greeting of GRBL within {GREETING_S:g} s. "
+                f"{self.device} at {self.port}: sent Ctrl-X, received no greeting of GRBL within {ANSWER_S:g} s. "
                 f"Remedy: check its power, and the port and speed ({self.line.baud} baud) with ./nishiki rig ports"
             )
         self.home_position, self.alarmed = {}, False

@@ -44,8 +44,6 @@ LARGEST_STEP = 2.0
 """Largest accepted ratio of a camera's nearest setting to the requested one: one stop."""
 LOST = {-7, -10, -33, -35, -52, -105, -110}
 """libgphoto2's errors of disconnected or sleeping cameras: input and output, time-outs, USB, not found, busy."""
-CLAIMED = -53
-"""libgphoto2's error of a camera in use by another program."""
 
 
 class GPhotoSettings(Closed):
@@ -201,7 +199,7 @@ class GPhotoCamera:
 
     def _failed(self, action: str, error: Any, remedy: str = "Remedy: switch it off and on") -> DeviceError:
         what = f"{self.name}: {action}: libgphoto2 says {error.string!r} ({error.code})"
-        if error.code == CLAIMED:
+        if error.code == self.gphoto.GP_ERROR_IO_USB_CLAIM:
             text = "another program has the camera. Remedy: unmount it in the file manager, or close its own software"
             return DeviceError(f"{what}: {text}")
         if error.code in LOST:

@@ -6,15 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nishiki.capture.spheres.optics import SphereCamera, circle_of, outline_points
+from nishiki.capture.spheres.optics import LEAST_PEAK, SphereCamera, circle_of, outline_points
 
 ANGLES = 360  # directions from the seed's centre in which an edge is looked for
 ALONG = 16  # directions over which profiles are smoothed on either side
 STEP_PX = 1 / 3  # along a ray
-BEYOND_PX = 4.0  # reach of the rays on which brightening edges are sought, at least
-LEAST_RISE = 0.15  # of the strongest change along a ray, from which a brightening is an edge
 GROWTH_PX, MOVE_PX = (0.0, 2.0, 0.2), (-0.5, 0.6, 0.25)  # of the rim beyond the strongest edges: first, last, step
-LEAST_GROWTH_PX = 0.05  # below which the strongest edges are those of the rim
 LEAST_ABSOLUTE = 8  # fits of least absolute distances, before as many of least squares
 NEAR_PX, TURNS = 0.6, 4  # of the rim: edges that are fitted, and how often
 SECTORS = 12  # of the outline, left out one after the other for its uncertainty
@@ -83,20 +80,21 @@ def fit_outline(stack: np.ndarray, seed: Sequence[float], camera: SphereCamera, 
     """
     circle = np.array(seed, float)
     circle[:2] -= corner
-    for reach, least_px in ((0.06, 3.0), (0.03, 2.5), (0.03, 2.5)):
-        grid, strength, _ = _edge_strengths(stack, circle, max(reach, least_px / circle[2]))
+    for share, least_px in ((0.06, 3.0), (0.03, 2.5), (0.03, 2.5)):
+        reach = max(share, least_px / circle[2])
+        grid, strength, _ = _edge_strengths(stack, circle, reach)
         peak, part = _peaks(strength)
         at = np.where(peak, strength, 0).argmax(axis=1)
         parameters, points = _fit_robustly(grid, part, at, np.any(peak, axis=1), camera, corner)
         circle = np.array(circle_of(parameters, camera))
         circle[:2] -= corner
-    grid, strength, rising = _edge_strengths(stack, circle, max(2 * reach, BEYOND_PX / circle[2]))
+    grid, strength, rising = _edge_strengths(stack, circle, 2 * reach)
     peak, part = _peaks(rising)
-    peak &= rising > LEAST_RISE * strength.max(axis=1, keepdims=True)
+    peak &= rising > LEAST_PEAK * strength.max(axis=1, keepdims=True)
     for turn in range(TURNS):
         away = _distances(grid.reshape(-1, 2) + corner, parameters, camera).reshape(peak.shape)
         rim = np.zeros(ANGLES) if turn else _seek_rim(away, peak)
-        if turn == 0 and rim.mean() < LEAST_GROWTH_PX:
+        if turn == 0 and np.isclose(rim.mean(), 0):  # the strongest edges are those of the rim
             break
         away = np.where(peak, np.abs(away + STEP_PX * part - rim[:, None]), np.inf)
         near, at = away.min(axis=1) < NEAR_PX, away.argmin(axis=1)
