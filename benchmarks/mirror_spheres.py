@@ -20,7 +20,7 @@ sys.path[:0] = [str(PROJECT / "tests"), str(PROJECT / "workflow/src")]
 
 from mirror_rays import Scene, dome  # noqa: E402
 
-from nishiki.calibrate.spheres_result import calibrate_spheres  # noqa: E402
+from nishiki.calibrate.result import calibrate_spheres  # noqa: E402
 from nishiki.capture.spheres.search import SphereInput  # noqa: E402
 
 FLOOR, ROWS, COLUMNS, LAMPS = -1000.0, 520, 760, 10

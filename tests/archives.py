@@ -12,7 +12,7 @@ from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "workflow/src"))
 from nishiki.archive.audit import Damage, read_file, survey_artifact
-from nishiki.archive.tree import FolderTree
+from nishiki.archive.pack import FolderTree
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter, publish
 from nishiki.artifacts.provenance import stage_key
 

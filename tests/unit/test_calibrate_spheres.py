@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from mirror_rays import Scene, dome
 
-from nishiki.calibrate.result import put_into_capture, write_calibration
-from nishiki.calibrate.spheres_result import calibrate_spheres
+from nishiki.calibrate.result import calibrate_spheres, put_into_capture, write_calibration
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.lights import read_lights

@@ -160,9 +160,9 @@ SIDE_BY_SIDE = ("--dist", "loadfile", "--no-loadscope-reorder")
 )
 def test_the_tier_and_all_other_arguments_reach_pytest(monkeypatch, words, passed_on):
     commands = []
-    monkeypatch.setattr("nishiki.commands.maintaining.install_for_meshlab", lambda: None)
+    monkeypatch.setattr("nishiki.commands.project.install_for_meshlab", lambda: None)
     monkeypatch.setattr(
-        "nishiki.commands.maintaining.subprocess.run",
+        "nishiki.commands.project.subprocess.run",
         lambda command, **_: commands.append(command) or SimpleNamespace(returncode=3),
     )
     with pytest.raises(SystemExit) as left:

@@ -15,8 +15,8 @@ from nishiki.brdf.texels.model import Lighting, predict
 from nishiki.formats.textured_surface import sample
 from nishiki.geometry.camera import Camera
 from nishiki.report.svg import figure
+from nishiki.stages.export.object import lamp_facts, nearest_pinhole, write_folder
 from nishiki.stages.export.object_look import SeenPoints, object_mesh
-from nishiki.stages.export.object_renderers import lamp_facts, nearest_pinhole, write_folder
 from nishiki.stages.report.capture import lost
 
 STAMP = {"scene": "ball", "key": "0123456789ab"}

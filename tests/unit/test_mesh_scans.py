@@ -151,7 +151,7 @@ def test_the_test_command_installs_what_meshlab_needs_where_it_may(monkeypatch, 
     import subprocess
     from types import SimpleNamespace
 
-    from nishiki.commands import maintaining
+    from nishiki.commands import project
 
     called = []
 
@@ -163,7 +163,7 @@ def test_the_test_command_installs_what_meshlab_needs_where_it_may(monkeypatch, 
     monkeypatch.setattr("shutil.which", lambda name: f"/usr/bin/{name}")
     monkeypatch.setattr("os.geteuid", lambda: user)
     monkeypatch.setattr(subprocess, "run", command)
-    maintaining.install_for_meshlab()
+    project.install_for_meshlab()
     said = capsys.readouterr().err
     assert called == ([] if user else [["-qq", "-y", "update"], ["-qq", "-y", *APT_LINE.split()[1:]]])
     assert (APT_LINE in said) == (user != 0 or status != 0)

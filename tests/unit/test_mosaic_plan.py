@@ -7,7 +7,7 @@ import pytest
 from captures import make_capture
 
 from nishiki.archive.audit import survey_artifact
-from nishiki.archive.tree import FolderTree
+from nishiki.archive.pack import FolderTree
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
 from nishiki.artifacts.closed import Guarded
 from nishiki.artifacts.provenance import name_above, place_above

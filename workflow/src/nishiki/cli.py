@@ -37,11 +37,11 @@ SECTIONS = {
     },
     "campaigns": {"table": "results", "sweep": "results", "prune": "archiving"},
     "maintenance": {
-        "install": "maintaining",
-        "test": "maintaining",
-        "compile": "maintaining",
+        "install": "project",
+        "test": "project",
+        "compile": "project",
         "schema": "inspecting",
-        "completion": "maintaining",
+        "completion": "project",
     },
 }
 """Commands by section of the help, each with the module of `nishiki.commands` that declares it."""

@@ -1,8 +1,9 @@
-"""Print one line of progress on long work."""
+"""Print one line of progress on long work, and results as short texts."""
 
 import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from html import escape
 from typing import TypeVar
 
 Item = TypeVar("Item")
@@ -43,3 +44,24 @@ class Progress:
                 print(f"{self.label}: {what} {done} of {total}, {rest:.0f} s left", file=self.stream, flush=True)
                 last = now
             yield item
+
+
+class Summarised:
+    """Show the `diagnostics` of a result in place of its arrays."""
+
+    @property
+    def diagnostics(self) -> Mapping[str, object]:
+        """Facts of the result by name."""
+        raise NotImplementedError
+
+    def __repr__(self) -> str:
+        facts = (f"{name}={_short(value)}" for name, value in self.diagnostics.items() if value or value == 0)
+        return f"{type(self).__name__}({', '.join(facts)})"
+
+    def _repr_html_(self) -> str:
+        rows = (f"<tr><td>{escape(name)}</td><td>{escape(_short(v))}</td></tr>" for name, v in self.diagnostics.items())
+        return f"<table><caption>{type(self).__name__}</caption>{''.join(rows)}</table>"
+
+
+def _short(value: object) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nishiki.archive.tree import FolderTree, Listing, Tree
+from nishiki.archive.pack import FolderTree, Listing, Tree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, index_text, is_digest, parse_manifest, run_problem
 from nishiki.artifacts.packed import METADATA
 from nishiki.artifacts.provenance import UPSTREAM, file_digest, place_above, stage_key

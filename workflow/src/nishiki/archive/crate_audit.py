@@ -15,7 +15,7 @@ from zipfile import BadZipFile
 
 from nishiki.archive.audit import CAPTURE, Damage, Survey, survey_artifact
 from nishiki.archive.crate import MANIFEST, parse_manifest_text
-from nishiki.archive.tree import FolderTree, Listing, Tree, ZipTree
+from nishiki.archive.pack import FolderTree, Listing, Tree, ZipTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import is_inside
 from nishiki.artifacts.packed import METADATA

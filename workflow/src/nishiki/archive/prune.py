@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from nishiki.archive.audit import ARTIFACT_NAME, CAPTURE, CURRENT
-from nishiki.archive.tree import FolderTree
+from nishiki.archive.pack import FolderTree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, parse_manifest
 from nishiki.artifacts.provenance import place_above
 from nishiki.engine.project import SWEEPS

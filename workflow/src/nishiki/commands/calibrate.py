@@ -118,8 +118,7 @@ def spheres(photographs, folder, into, board, seeds, **given) -> None:
 
     Lay the balls where the object will lie, and photograph them once under every lamp, with the camera fixed.
     """
-    from nishiki.calibrate.result import list_photographs
-    from nishiki.calibrate.spheres_result import calibrate_spheres
+    from nishiki.calibrate.result import calibrate_spheres, list_photographs
     from nishiki.capture.spheres.search import SphereInput
 
     boards = list_photographs([board], what="board") if board else ()

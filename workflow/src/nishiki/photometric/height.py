@@ -28,7 +28,7 @@ from numpy.polynomial import legendre
 from nishiki.brdf.slopes import GRAZING
 from nishiki.errors import UserError
 from nishiki.photometric.multigrid import BAND_PIXELS, WHOLE_PIXELS, Laplace, RowsOnDisk, divergence, edges, windows
-from nishiki.summary import Summarised
+from nishiki.progress import Summarised
 from nishiki.threads import strips
 
 METHODS = ("auto", "dct", "weighted")

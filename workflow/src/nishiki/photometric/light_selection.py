@@ -8,7 +8,7 @@ from math import ceil
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.summary import Summarised
+from nishiki.progress import Summarised
 from nishiki.threads import over_rows
 
 METHODS = ("refit", "trimmed", "threshold", "none")

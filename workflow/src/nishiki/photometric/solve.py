@@ -25,7 +25,7 @@ from nishiki.photometric.light_selection import (
     distinct_sets,
     half_vectors,
 )
-from nishiki.summary import Summarised
+from nishiki.progress import Summarised
 from nishiki.threads import over_rows, strips
 
 SOLVERS = ("lobe", "least_squares")
