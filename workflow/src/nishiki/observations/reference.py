@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.capture.frames import Frame
-from nishiki.capture.taking import SAME_EXPOSURE
+from nishiki.capture.taking import SAME_VALUE
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.kernels import block_levels, count_outliers
@@ -211,7 +211,7 @@ def _dark_problems(reader: FrameReader, exposures: tuple[float | None, ...]) -> 
     if None in exposures:
         return ()
     lit = {f.exposure_s for f in reader.capture.frames if f.role in ("sample", "check", "white") and f.exposure_s}
-    far = [t for t in sorted(lit) if all(abs(t / dark_exposure - 1) > SAME_EXPOSURE for dark_exposure in exposures)]
+    far = [t for t in sorted(lit) if all(abs(t / dark_exposure - 1) > SAME_VALUE for dark_exposure in exposures)]
     if not far:
         return ()
     found = f"exposures {', '.join(f'{t:g} s' for t in far[:4])}"

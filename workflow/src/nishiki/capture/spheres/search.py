@@ -17,7 +17,7 @@ from nishiki.capture.spheres.optics import LEAST_PEAK, Highlight, SphereCamera, 
 from nishiki.capture.spheres.outline import Circle, Outline
 from nishiki.capture.taking import SATURATED, channel_names, full_scale_of, read_grey
 from nishiki.errors import UserError
-from nishiki.formats.images import read_codes, read_header
+from nishiki.formats.images import SEARCH_SIDE, read_codes, read_header
 from nishiki.threads import in_threads
 
 MARGIN = 1.65  # of the radius: half the side of the crop around a sphere
@@ -172,7 +172,6 @@ def display_codes(light: np.ndarray) -> np.ndarray:
     return np.repeat((255 * np.sqrt(np.clip(light / top, 0, 1))).astype(np.uint8)[..., None], 3, axis=2)
 
 
-SEARCH_SIDE = 1200.0  # pixels of the longer side of the reduced photographs, and of the picture on the page
 SEARCH_PIXELS = 6e7  # of all reduced photographs together, which bounds the memory
 LIT_SHARE = 0.2  # of the photographs that may be bright at a pixel of a mirror
 LEAST_SHARE = 0.5  # of the photographs that must have a highlight on a ball, and a lamp that is measured
