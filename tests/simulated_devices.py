@@ -8,7 +8,7 @@ import re
 import time
 from pathlib import Path
 
-from nishiki.simulate.rig.line import PAUSE_S, SimulatedLine
+from nishiki.simulate.rig import PAUSE_S, SimulatedLine
 
 
 class SimulatedComXim(SimulatedLine):

@@ -15,7 +15,7 @@ from nishiki.rig import described
 from nishiki.rig import device as lines
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
-from nishiki.simulate.rig.bench import SimulatedDome
+from nishiki.simulate.rig import SimulatedDome
 
 OWN_CAMERA = """
 from pathlib import Path

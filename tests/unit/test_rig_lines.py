@@ -28,8 +28,7 @@ from nishiki.rig.described import (
     HomeMadePolariser,
 )
 from nishiki.rig.device import LONGEST_LINE, DeviceError, DeviceLost, SerialLine
-from nishiki.simulate.rig.bench import SimulatedDome
-from nishiki.simulate.rig.line import FAULTS
+from nishiki.simulate.rig import FAULTS, SimulatedDome
 
 DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 """Faults after which the answer never comes."""
