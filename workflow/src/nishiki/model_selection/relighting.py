@@ -26,10 +26,9 @@ from nishiki.evaluate.camera_colour import assumed_colour
 from nishiki.evaluate.relighting import difference_of
 from nishiki.model_selection.decision import LEAST_GAIN, Decision
 from nishiki.observations.plane import Parcel
-from nishiki.photometric.flags import FOLDS, NO_ESTIMATE
+from nishiki.photometric.flags import FEWEST_LIGHTS, FOLDS, NO_ESTIMATE
 from nishiki.photometric.gloss import LARGEST_SIGMA
 
-FEWEST = 8  # lights: with fewer, what the rest of them says differs too much from what all of them say
 ERRORS = 3.0  # standard errors of a gain over the lamps: one lamp of a wrong strength outweighs nine others
 BESIDE = 0.5  # of the distance to the nearest other lamp: one nearer to the hull of the others is not extrapolated
 SURE = 1e3  # weight with which shares of the others sum to one
@@ -147,7 +146,7 @@ def left_out_errors(
 
 
 def interpolated(directions: np.ndarray) -> np.ndarray:
-    """Select the lights (n, 3) that those of other folds surround, or nearly; all if fewer than FEWEST / 2 are."""
+    """Select the lights (n, 3) that those of other folds surround, or nearly; all where few are."""
     from scipy.optimize import nnls
 
     fold, near = np.arange(len(directions)) % FOLDS, np.zeros(len(directions), bool)
@@ -156,7 +155,7 @@ def interpolated(directions: np.ndarray) -> np.ndarray:
         others = corners[fold != fold[light]]
         apart = np.linalg.norm(nnls(others.T, place)[0] @ others - place)
         near[light] = apart <= BESIDE * np.linalg.norm(others - place, axis=1).min()
-    return near | (near.sum() < FEWEST / 2)
+    return near | (near.sum() < FEWEST_LIGHTS / 2)
 
 
 def remaining_gloss(pieces: Sequence[Sampled], candidates: Sequence[Fitted]) -> GlossProfile:

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.model_selection.decision import LEAST_GAIN, Decision
-from nishiki.mosaic.adjustment import ROUNDS, Placement
-from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
+from nishiki.mosaic.adjustment import Placement
+from nishiki.photometric.flags import NO_ESTIMATE, ROUNDS, NormalFlag
 
 LEAST = 1e-3  # z of a normal, reflectance, and sigma in radians: a field that claims less counts no more
 Reader = Callable[[str, slice], np.ndarray]

@@ -20,9 +20,8 @@ import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, light_table, scattered_lobes, specular_samples
 from nishiki.errors import UserError, require
-from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
+from nishiki.photometric.flags import NO_ESTIMATE, ROUNDS, NormalFlag
 from nishiki.photometric.gloss_kernel import SETTLED, refine_pixels
-from nishiki.photometric.lambert_fit import ROUNDS
 from nishiki.threads import over_rows
 
 LARGEST_SIGMA = 0.1  # radians: where the normals are worse the blur is no longer a small one

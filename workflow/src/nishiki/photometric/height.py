@@ -27,6 +27,7 @@ from numpy.polynomial import legendre
 
 from nishiki.brdf.slopes import GRAZING
 from nishiki.errors import UserError
+from nishiki.photometric.flags import ROUNDS
 from nishiki.photometric.multigrid import BAND_PIXELS, WHOLE_PIXELS, Laplace, RowsOnDisk, divergence, edges, windows
 from nishiki.progress import Summarised
 from nishiki.threads import strips
@@ -319,7 +320,6 @@ def bow(sample, pitch):
 DEGREE = 3  # of the polynomials of the normals' components: heights of degree 4
 MOST_BLOCKS = 128  # along the longer side: the fit sees the mean normals of this many squares
 FLAT_WITHIN = 0.05  # length of a difference of unit normals (3 degrees) beyond which a square counts less
-ROUNDS = 8  # of reweighting
 
 
 def flatten_normals(shape, read, write):

@@ -20,7 +20,7 @@ from nishiki.observations.linearise import Edges, field_rows
 from nishiki.observations.plane import Observations, Parcel, parcels
 from nishiki.photometric.body import mean_of_channels
 from nishiki.photometric.expected_error import UNKNOWN, correction_error, direction_groups
-from nishiki.photometric.flags import FEW_LIGHTS, FOLDS, NO_ESTIMATE, NormalFlag
+from nishiki.photometric.flags import FEW_LIGHTS, FEWEST_LIGHTS, FOLDS, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.light_selection import select_diffuse, unpack_lights
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import OUTPUTS, NormalsSettings
@@ -61,7 +61,7 @@ def find_thrown_light(
     """
     if settings.interreflection == "none" or settings.solver == "least_squares" or frames.positions_mm is not None:
         return None, None
-    from nishiki.model_selection.relighting import ERRORS, FEWEST
+    from nishiki.model_selection.relighting import ERRORS
     from nishiki.photometric.interreflection import find_interreflection, left_out_errors
 
     step = facet_of(frames)
@@ -76,7 +76,7 @@ def find_thrown_light(
     words = "share of the light, exceeded on a tenth of the object, that other places of it throw"
     loss = f"normals of concave places too flat, {share:.2g} of the light" if share >= COUNTS else "nothing"
     kept = Decision("interreflection", "none", words, share, COUNTS, loss, "no setting forces it")
-    if share < COUNTS or len(lights) < FEWEST:
+    if share < COUNTS or len(lights) < FEWEST_LIGHTS:
         return None, kept
     without, best, most = left_out_errors(few, None, FOLDS), 0.0, 0.0
     for scale in scales:
