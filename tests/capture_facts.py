@@ -3,9 +3,10 @@
 from dataclasses import dataclass
 
 from nishiki.capture.frames import parse_state
-from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
+from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.formats.images import read_header
+from nishiki.goniometry.table import NORMAL_DEG
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """The stage cloth_render: every product, surfaces from files, films, and what is told where the input is wrong."""
 
-import importlib
+import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +20,7 @@ from nishiki.errors import UserError
 from nishiki.progress import Progress
 from nishiki.render.cloth.models import ClothModels
 from nishiki.render.cloth.studio import ClothPicture
-from nishiki.render.cloth.surfaces import read_surface
+from nishiki.render.cloth.surfaces import STEP, read_drape, read_surface
 from nishiki.render.display import developed, shoulder
 from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.render.cloth import exposed
@@ -213,3 +213,41 @@ def test_tone():
     assert exposed(automatic, []) == pytest.approx(white_sheet)
     image = developed(np.full((2, 2, 3), 0.25, np.float32), np.full((2, 2), 0.0, np.float32), background=1.0)
     assert np.all(image.pixels == 255)
+
+
+PROGRAM = Path(__file__).resolve().parents[2] / "benchmarks/draped_cloth.py"
+
+
+def program():
+    """The program that made the shipped file."""
+    spec = importlib.util.spec_from_file_location("draped_cloth", PROGRAM)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_shipped_cloth_rests_on_the_ball_and_the_floor_with_its_length_kept():
+    points = read_drape()
+    assert points.shape == (129, 129, 3)
+    away = np.linalg.norm(points - [0, 0.30, 0], axis=2) - 0.16
+    assert away.min() > 0.0019
+    assert points[..., 1].min() > 0.0019
+    assert points[64, 64, 1] == pytest.approx(0.462, abs=1e-4)
+    assert points[0, 0, 1] < 0.2  # its corners hang
+    for axis in (0, 1):
+        lengths = np.linalg.norm(np.diff(points, axis=axis), axis=2)
+        assert np.sqrt(np.mean((128 * lengths - 1) ** 2)) < 0.02
+
+
+def test_points_are_kept_to_a_micrometre(tmp_path):
+    points = np.random.default_rng(3).uniform(-0.6, 0.6, (9, 9, 3))
+    program().write_drape(tmp_path / "cloth.npz", points)
+    np.testing.assert_allclose(read_drape(tmp_path / "cloth.npz"), points, atol=STEP / 2 + 1e-12)
+
+
+@pytest.mark.long
+def test_the_shipped_cloth_is_what_its_program_makes():
+    points, speed = program().drape()
+    assert speed < 0.02
+    # Other processors round differently, and a fold may then move by a little.
+    assert np.abs(points - read_drape()).max() < 1e-3

@@ -17,6 +17,7 @@ from nishiki.capture.schema import Positive, Session
 from nishiki.formats.files import is_label
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.goniometry.directions import unit
+from nishiki.goniometry.table import NORMAL_DEG
 
 Reflectance = Annotated[float, Field(gt=0, le=1.1)]
 Label = Annotated[int, Field(ge=1, le=65535)]
@@ -108,7 +109,6 @@ class GoniometerFile(Session):
         return given if isinstance(given, tuple) else (given,) * len(self.camera.channels)
 
 
-NORMAL_DEG = 1.0
 STEEPEST_WHITE_DEG = 85.0
 FEWEST_NORMAL = 12  # views along the normal
 

@@ -15,7 +15,7 @@ from pydantic import Field, create_model
 from nishiki.artifacts.closed import Closed, merged, parse
 from nishiki.artifacts.provenance import scene_of_field, truth_digest
 from nishiki.capture.folder import Capture, load_capture
-from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
+from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.mosaic import MosaicCapture, is_mosaic, read_fields
 from nishiki.capture.seal import capture_digest
 from nishiki.capture.turntable import TurntableCapture, estimates_cameras
@@ -24,6 +24,7 @@ from nishiki.formats.files import is_plain, read_text
 from nishiki.formats.images import read_header
 from nishiki.formats.problems import CaptureError
 from nishiki.formats.text_tables import load_plain
+from nishiki.goniometry.table import NORMAL_DEG
 from nishiki.observations.linearise import CHECK_BLOCK
 from nishiki.observations.region import object_mask, region_around, region_of
 from nishiki.stages.base import POSES, SceneFacts

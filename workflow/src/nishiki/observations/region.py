@@ -9,13 +9,14 @@ import numpy as np
 
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame, Photographed
-from nishiki.capture.goniometer import NORMAL_DEG, GoniometerCapture
+from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import payload_files
 from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import require
 from nishiki.formats.images import Region
 from nishiki.formats.masks import Mask, examine_mask, expect_size, label_problems, read_labels
 from nishiki.formats.problems import Problem, refuse
+from nishiki.goniometry.table import NORMAL_DEG
 from nishiki.observations.linearise import blocks_around
 
 MANY_REGIONS = np.iinfo(np.uint8).max + 1

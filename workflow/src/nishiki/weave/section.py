@@ -154,17 +154,6 @@ class Section:
         """Return the fields by name, as numbers."""
         return {name: float(value) for name, value in asdict(self).items()}
 
-    def __post_init__(self) -> None:
-        theta_a, length, radius, flat, yarns, contact = self.shape
-        if not np.all(np.isfinite(self.shape)):
-            raise ValueError(f"section {self}: expected finite numbers")
-        if not 0.0 < theta_a < HALF_PI:
-            raise ValueError(f"theta_a = {theta_a}: expected an angle between 0 and pi/2, both excluded")
-        if length < 0 or radius < 0 or length + radius <= 0 or flat < 0:
-            raise ValueError(f"l = {length}, r = {radius}, m = {flat}: expected lengths >= 0, l or r above 0")
-        if yarns < 1 or not 0.0 < contact <= HALF_PI:
-            raise ValueError(f"n = {yarns}, contact = {contact}: expected n >= 1 and 0 < contact <= pi/2")
-
 
 @dataclass(frozen=True)
 class WarpSection(Section):
