@@ -5,11 +5,12 @@ thickness b1 lies below some weft yarns of a repeat and above the others, as the
 yarns touch: the sum of their half thicknesses is shared between the amplitudes of warp and weft. A warp yarn's
 surroundings are those of its neighbour, moved along, so the columns of a few warp yarns stand for the cloth.
 
-    f(i, o) = 1 / (i_z o_z) sum_p w(p) / p_z V(p, i) V(p, o) (p.i)(p.o) (m + body / pi (1 - F(p.i))(1 - F(p.o)))
+    f(i, o) = 1 / (i_z o_z) sum_p w(p) / p_z V(p, i) V(p, o) (p.i)(p.o) (m + body / pi)
 
-over points p of these columns; m is the reflection of anisotropic GGX facets about p, as in `brdf.cloth.yarn_facets`.
-V follows from the horizon of each point, marched over the surface. Light that has passed through yarns leaves the
-cloth evenly: a Lambert term beside the two.
+over points p of these columns; m is the reflection of anisotropic facets about p, as in `brdf.cloth.yarn_facets`. The
+body has no Fresnel factors of the yarn's surface: light enters a yarn between fibres, whose surfaces stand at all
+angles. V follows from the horizon of each point, marched over the surface. Light that has passed through yarns leaves
+the cloth evenly: a Lambert term beside the two.
 """
 
 import math
@@ -32,7 +33,7 @@ from nishiki.brdf.cloth.yarn_facets import (
     smooth_step,
 )
 from nishiki.brdf.torrance_sparrow import fresnel_scalar
-from nishiki.lanes import LANES, load, splat
+from nishiki.lanes import LANES, choose, load, splat
 from nishiki.weave.section import WovenSurface
 
 HOLE = -9.0  # height where no yarn lies
@@ -40,7 +41,7 @@ HORIZON = 10  # column of a point after those of `yarn_facets.NORMAL`: angle of 
 AZIMUTHS = 24
 EVERY = np.ones(AZIMUTHS, bool)
 SHORTEST, GROWTH, STEPS = 0.04, 1.26, 20  # of a ray over the surface, in spacings: to 3.2
-NEARER, NEAR = 6, 1e-6  # most steps, in spacings, to the place of the middle that a point of the surface belongs to
+NEARER, NEAR = 6, 1e-3  # most steps to the place of the middle that a point belongs to; the last one, in spacings
 STEEPEST = 20.0  # slope to which the sides of a section are followed
 REACHED = 2  # crossings to either side that count where a yarn changes sides
 BLEND = 0.015  # height over which warp and weft pass into each other where they cross, so that sums are smooth
@@ -256,9 +257,9 @@ def weave_sums(incident, outgoing, surface, facets, soft, out):
             for p in range(family * split, split if family == 0 else points.shape[1], LANES):
                 reached = _let_through(points, p, lit_from, soft) * _let_through(points, p, seen_from, soft)
                 reached = reached * load(points, (WEIGHT, p))
-                glossy, matt = reflected(points, p, i, o, half, widths, tail, index)
+                glossy, ci, co = reflected(points, p, i, o, half, widths, tail)
                 mirror += reached * glossy
-                body += reached * matt
+                body += reached * choose((ci > 0.0) & (co > 0.0), ci * co, 0.0)
             scale = 1.0 / (i[2] * o[2])
             out[k, 2 * family] = scale * 0.5 * fresnel_scalar(cosine, index) * add_up(mirror, scratch)
             out[k, 2 * family + 1] = scale * add_up(body, scratch) / math.pi

@@ -140,18 +140,16 @@ def facet_reflection(axes, i, o, half, ci, co, rough, tail):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def reflected(points, p, i, o, half, rough, tail, index):
-    """Compute D G / 2 and the white body times pi of LANES points of a yarn from p on, both of them lit and seen."""
+def reflected(points, p, i, o, half, rough, tail):
+    """Compute D G / 2 of LANES points of a yarn from p on, all lit and visible, and the cosines of light and view."""
     axes = (
         (load(points, (0, p)), load(points, (1, p)), load(points, (2, p))),
         (load(points, (3, p)), load(points, (4, p)), load(points, (5, p))),
         (load(points, (6, p)), load(points, (7, p)), load(points, (8, p))),
     )
     ci, co = _dot(axes[0], i), _dot(axes[0], o)
-    (entering, of_light), (leaving, of_view) = _entering(ci, index), _entering(co, index)
-    above = (ci > 0.0) & (co > 0.0)
     mirror = facet_reflection(axes, i, o, half, ci, co, rough, tail)
-    return choose(above, mirror, 0.0), choose(above, ci * co * (entering * leaving) / (of_light * of_view), 0.0)
+    return choose((ci > 0.0) & (co > 0.0), mirror, 0.0), ci, co
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -218,9 +216,11 @@ def sums(incident, outgoing, facets, out):
                     if limits[family, side] < HALF_PI:
                         tilt = load(points, (TILT_X + side // 2, p)) * (1.0 - 2.0 * (side % 2))
                         reached = reached * smooth_step(0.5 + (limits[family, side] - tilt) * steep)
-                glossy, matt = reflected(points, p, i, o, half, widths, 1.0, index)
+                glossy, ci, co = reflected(points, p, i, o, half, widths, 1.0)
+                (entering, of_light), (leaving, of_view) = _entering(ci, index), _entering(co, index)
+                matt = ci * co * (entering * leaving) / (of_light * of_view)
                 mirror += reached * glossy
-                body += reached * matt
+                body += reached * choose((ci > 0.0) & (co > 0.0), matt, 0.0)
             scale = 1.0 / (i[2] * o[2])
             out[k, 2 * family] = scale * 0.5 * fresnel_scalar(cosine, index) * add_up(mirror, scratch)
             out[k, 2 * family + 1] = scale * add_up(body, scratch) / math.pi
