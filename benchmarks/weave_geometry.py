@@ -61,7 +61,7 @@ def of_sections(measured: ReflectanceSet, reading: str) -> dict:
 def of_yarns(measured: ReflectanceSet) -> dict:
     """The default."""
     search = search_yarns(Measured.of(measured), bindings())
-    numbers = parameters_of(search.best, confidence=0.95)
+    numbers = parameters_of(search, confidence=0.95)
     values = {
         name: [numbers[name][key] for key in ("value", "low", "high")]
         for name in (*SLOPES, *YARNS)

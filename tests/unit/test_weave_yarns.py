@@ -19,7 +19,9 @@ from nishiki.weave import yarn_weave
 from nishiki.weave.yarn_search import (
     CENTRE,
     NAMES,
+    YarnSearch,
     fit_binding,
+    mixed_quantile,
     parameters_of,
     samples_of,
     search_yarns,
@@ -284,13 +286,24 @@ def test_search_finds_the_weave_and_its_yarns(binding):
     assert search.best.binding == binding
     assert search.alike == [binding]
     assert search.best.rms_rel < 0.03
-    parameters = parameters_of(search.best, confidence=0.95)
+    parameters = parameters_of(search, confidence=0.95)
     slopes = truth.slopes()
     for name in ("mean_slope_weft", "p90_slope_weft", "mean_slope_warp", "weft_share"):
         assert parameters[name]["value"] == pytest.approx(slopes[name], rel=0.1), name
         assert parameters[name]["low"] <= parameters[name]["value"] <= parameters[name]["high"]
     assert parameters["aspect_warp"]["value"] == pytest.approx(0.7, rel=0.1)
     assert parameters["aspect_warp"]["determined"]
+
+
+def test_quantiles_of_bindings_are_those_of_their_mixture():
+    """Against draws: a likely narrow estimate beside an unlikely wide one, and equal ones far apart."""
+    rng = np.random.default_rng(0)
+    for middle, deviation, odds in (([1.0, 1.2], [0.1, 0.5], [1.0, 0.25]), ([0.0, 9.0], [1.0, 1.0], [2.0, 2.0])):
+        which = rng.choice(2, 200_000, p=np.array(odds) / sum(odds))
+        draws = rng.normal(np.array(middle)[which], np.array(deviation)[which])
+        for share in (0.025, 0.3, 0.975):
+            found = mixed_quantile(share, *map(np.array, (middle, deviation, odds)))
+            assert np.mean(draws < found) == pytest.approx(share, abs=2e-3)
 
 
 @pytest.mark.slow
@@ -302,7 +315,7 @@ def test_counted_threads_hold_the_spacings_that_the_yarns_alone_leave_open():
     )
     errors = [abs(fit.weave.spacing_ratio / 2.0 - 1) for fit in (alone, counted)]
     assert errors[1] < 0.03 < errors[0]
-    told = parameters_of(counted, confidence=0.95)["spacing_ratio"]
+    told = parameters_of(YarnSearch(counted, [SATIN], [], [counted]), confidence=0.95)["spacing_ratio"]
     assert told["low"] < 2.0 < told["high"] < 1.2 * told["low"]
 
 
@@ -313,7 +326,7 @@ def test_a_matt_cloth_tells_nothing_of_its_weave():
     flat.values[:] *= 1 + 0.02 * np.random.default_rng(0).standard_normal(flat.values.shape)
     search = search_yarns(flat, [PLAIN, SATIN])
     assert not search.best.explains
-    assert not any(number["determined"] for number in parameters_of(search.best, confidence=0.95).values())
+    assert not any(number["determined"] for number in parameters_of(search, confidence=0.95).values())
 
 
 def test_too_few_views_are_refused():

@@ -60,7 +60,7 @@ def describe_yarns(search: YarnSearch, *, confidence: float) -> dict:
         "rms_rel": best.rms_rel,
         "variation": best.variation,
         "determined": best.explains,
-        "parameters": parameters_of(best, confidence=confidence),
+        "parameters": parameters_of(search, confidence=confidence),
     }
 
 

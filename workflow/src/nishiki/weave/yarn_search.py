@@ -5,7 +5,7 @@ more samples and a finer surface. Yarns that are long in coming up can imitate a
 cloth has its weight: priors of the yarns (NAMES, CENTRE, SPREAD), and UNUSUAL for a repeat that is seldom woven.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
@@ -48,12 +48,10 @@ USUAL = {  # woven most: plain, twills of three and four, satins of five and eig
 }  # fmt: skip
 UNUSUAL, RARE = 6.0, 10.0  # what bindings known from cloth, and all others, have to gain in cost: odds 20, 150
 LIKE = 6.0  # of the cost within which bindings are not told apart
-HOPELESS = 12.0  # above the least cost: after LAST harnesses beyond it longer repeats are not tried
-LAST = 3
+LAST = 3  # harnesses in a row that cost 2 LIKE more than the least: longer repeats are not tried
 FIRST, SHORT, LONG = 2, (60, 4), (100, 25)  # views of normal incidence, and steps of a fit
 STEEPEST = np.radians(85.0)  # views at more are left out: masking of single yarns decides
 REFINED = 3  # bindings that are fitted on: of a harness after FIRST steps, of all after SHORT
-INFLATED = 2.0  # of the intervals, for the model's own error: at 1.5 it was 34 of 39 that held the truth at 95 %
 UNEXPLAINED = 0.6  # of the variation: beyond it the yarns explain less than two thirds of the variance
 OPEN, NARROW = 0.7, 0.15  # not determined: more of the prior's spread is left, and of the value to either side
 
@@ -189,7 +187,7 @@ def fit_binding(
     limits, channels = np.array([np.inf, EVEN]), samples.values.shape[1]
     lambert, needed = np.full(len(samples.weight), 1 / np.pi), horizons_of(samples.incident, samples.outgoing)
 
-    @lru_cache(maxsize=2)
+    @lru_cache(maxsize=GEOMETRY + 1)  # those of one matrix of slopes
     def points_at(*geometry: float):
         return weave_of(np.array([*geometry, *CENTRE[GEOMETRY:]]), binding).points(density, needed)
 
@@ -207,9 +205,13 @@ def fit_binding(
         rest = rest * samples.weight[:, None] / np.sqrt(channels)
         return np.concatenate([rest.ravel(), (x - centre) / width, (c / limits).ravel()])
 
+    taken: list[np.ndarray] = []
+
     def slopes(x):
-        here = residual(x)
-        return np.stack([(residual(x + s) - here) / s.max() for s in np.diag(STEP * SPREAD)], axis=1)
+        if len(taken) < max(evaluations - 1, 1):  # after the last step no step follows
+            here = residual(x)
+            taken.append(np.stack([(residual(x + s) - here) / s.max() for s in np.diag(STEP * SPREAD)], axis=1))
+        return taken[-1]
 
     first = centre if start is None else start
     bounds = centre - REACH * width, centre + REACH * width
@@ -241,6 +243,7 @@ class YarnSearch:
     best: YarnFit  # fitted to the end, a usual weave where the samples do not distinguish it from the best one
     alike: list[Binding]  # bindings that explain the samples about as well, the best first
     ranking: list[tuple[Binding, float]]  # (binding, cost of its short fit) of all
+    fits: list[YarnFit]  # all that were fitted to the end
 
 
 def search_yarns(
@@ -264,7 +267,7 @@ def search_yarns(
         ]
         short += fits
         cost = min(one.cost for one in fits)
-        least, since = min(least, cost), since + 1 if cost > least + HOPELESS else 0
+        least, since = min(least, cost), since + 1 if cost > least + 2 * LIKE else 0
         if since == LAST:
             break
     short.sort(key=lambda one: one.cost)
@@ -276,48 +279,68 @@ def search_yarns(
     refined = {one.binding for one in long}
     alike = [best.binding, *(one.binding for one in like if one is not best)]
     alike += [f.binding for f in short if f.binding not in refined and f.cost < short[0].cost + LIKE]
-    return YarnSearch(best, alike, [(one.binding, one.cost) for one in short])
+    return YarnSearch(best, alike, [(one.binding, one.cost) for one in short], long)
 
 
-def parameters_of(fit: YarnFit, *, confidence: float) -> dict[str, dict]:
-    """Report every number of the weave: value, low, high, determined.
+def estimate(fit: YarnFit) -> dict[str, tuple[float, float, float]]:
+    """Estimate every number of a fit: middle, standard deviation, and that of the prior.
 
-    determined is False where the samples add little to the prior. Slopes are in degrees, over the surface visible from
-    above.
+    Slopes and the weft's share as they are, the others as in NAMES.
     """
+    covariance, steps = np.linalg.inv(fit.information), np.diag(STEP * SPREAD)[:GEOMETRY]
+    ends = [[[*weave_of(x, fit.binding).slopes().values()] for x in (fit.x + s, fit.x - s)] for s in steps]
+    gradients = -np.diff(ends, axis=1)[:, 0] / (2 * STEP)  # (GEOMETRY, numbers), for the prior's deviations
+    spread, own = SPREAD[:GEOMETRY], covariance[:GEOMETRY, :GEOMETRY]
+    out = {}
+    for (name, value), gradient in zip(fit.weave.slopes().items(), gradients.T, strict=True):
+        deviation = np.sqrt(gradient / spread @ own @ (gradient / spread))
+        out[name] = (value, float(deviation), float(np.linalg.norm(gradient)))
+    deviations = np.sqrt(np.diag(covariance))
+    return out | {name: (float(fit.x[k]), float(deviations[k]), float(SPREAD[k])) for k, name in enumerate(NAMES)}
+
+
+def mixed_quantile(share: float, middle: np.ndarray, deviation: np.ndarray, odds: np.ndarray) -> float:
+    """Find the quantile of a mixture of normal distributions: middle, deviation and odds (n,) of each."""
+    from scipy.optimize import brentq
     from scipy.stats import norm
 
-    reach = INFLATED * float(norm.ppf(0.5 + 0.5 * confidence))
-    covariance = np.linalg.inv(fit.information)
-    spread_of = np.sqrt(np.diag(covariance))
+    ends = [end(middle + side * 9 * deviation) for end, side in ((np.min, -1), (np.max, 1))]
+    return float(brentq(lambda v: odds @ (norm.cdf((v - middle) / deviation) - share), *ends))
+
+
+def parameters_of(search: YarnSearch, *, confidence: float) -> dict[str, dict]:
+    """Report every number of the weave: value, low, high, determined.
+
+    The interval is that of the mixture of all bindings that the samples do not distinguish, each with the odds of its
+    cost. determined is False where the samples add little to the prior. Slopes are in degrees, over the surface
+    visible from above.
+    """
+    from scipy.special import expit
+    from scipy.stats import norm
+
+    best, least = search.best, min(fit.cost for fit in search.fits)
+    likely = [best, *(fit for fit in search.fits if fit is not best and fit.cost < least + LIKE)]
+    odds = np.exp(0.5 * (least - np.array([fit.cost for fit in likely])))
+    estimates = [estimate(fit) for fit in likely]
+    centre, width = prior_of(best.binding, best.spacing_ratio)
     out = {}
-    here = fit.weave.slopes()
-    steps = np.diag(STEP * SPREAD)
-    there = [
-        (weave_of(fit.x + s, fit.binding).slopes(), weave_of(fit.x - s, fit.binding).slopes(), 2 * s.max())
-        for s in steps
-    ]
-    for name, value in here.items():
-        gradient = np.array([(up[name] - down[name]) / width for up, down, width in there])
-        deviation = float(np.sqrt(gradient @ covariance @ gradient))
-        before = float(np.linalg.norm(gradient * SPREAD))
-        out[name] = {
-            "value": value,
-            "low": max(value - reach * deviation, 0.0),
-            "high": value + reach * deviation,
-            "determined": fit.explains and bool(deviation < OPEN * before or reach * deviation < NARROW * value),
-        }
-    centre, width = prior_of(fit.binding, fit.spacing_ratio)
-    for k, name in enumerate(NAMES):
-        form = (lambda v: 1 / (1 + np.exp(-v))) if k in LOGITS else (lambda v: v) if k == ARCH else np.exp
-        x, deviation = fit.x[k], spread_of[k]
-        value, low, high = (float(form(x + side * reach * deviation)) for side in (0, -1, 1))
-        told = deviation < OPEN * SPREAD[k] or high - low < 2 * NARROW * value
-        inside = abs(x - centre[k]) < 0.999 * REACH * width[k] and (k != ARCH or x > 0)
+    for name in estimates[0]:
+        middle, deviation, before = np.array([each[name] for each in estimates]).T
+        ends = [mixed_quantile(0.5 + 0.5 * side * confidence, middle, deviation, odds) for side in (-1, 1)]
+        low, high = min(ends[0], middle[0]), max(ends[1], middle[0])
+        told = high - low < 2 * OPEN * before[0] * norm.ppf(0.5 + 0.5 * confidence)
+        form: Callable = float
+        inside = True
+        if name in NAMES:
+            k = NAMES.index(name)
+            form = float if k == ARCH else expit if k in LOGITS else np.exp
+            inside = abs(middle[0] - centre[k]) < 0.999 * REACH * width[k] and (k != ARCH or middle[0] > 0)
+        value, low, high = (float(form(v)) for v in (middle[0], low, high))
+        told = told or high - low < 2 * NARROW * value
         out[name] = {
             "value": value,
             "low": max(low, 0.0),
             "high": high,
-            "determined": fit.explains and bool(told and inside),
+            "determined": best.explains and bool(told and inside),
         }
     return out
