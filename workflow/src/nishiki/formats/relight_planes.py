@@ -28,7 +28,6 @@ from nishiki.formats.legacy_rti import HshFile, PtmFile, decode_stream
 
 ALL_PLANES = "planes.tzi"
 LEAST_TILE = 16  # pixels
-MOST_LEVELS = 24  # of halvings
 REMEDY = "Fit it again with relight as ptm, hsh, rbf or bilinear, or convert the photographs"
 
 
@@ -101,7 +100,7 @@ def _read_joined_tiles(folder: Path, name: str, number: int, out: np.ndarray) ->
         sound = all(type(n) is int for n in (size, overlap, width, height, levels, stride, *offsets))
     except (ValueError, RecursionError, KeyError, TypeError):
         sound = False
-    if not sound or not 0 < levels <= MOST_LEVELS or number >= stride or overlap < 0:
+    if not sound or not 0 < levels <= max(width, height).bit_length() + 1 or number >= stride or overlap < 0:
         raise Refused(
             about, "no list of tiles", expected="tilesize, overlap, width, height, nlevels, offsets", remedy=REMEDY
         )
