@@ -26,8 +26,9 @@ import numpy as np
 import yaml
 
 from nishiki.calibrate.result import SATURATED_SHARE, Calibration, finite, list_photographs
-from nishiki.capture.taking import SATURATED, channel_names, full_scale_of, read_channels, read_grey
+from nishiki.capture.taking import channel_names, full_scale_of, read_channels, read_grey
 from nishiki.errors import UserError
+from nishiki.formats.coding import SATURATED
 from nishiki.formats.images import read_header
 from nishiki.formats.text_tables import number_of, table_rows
 from nishiki.geometry.board import BoardCorners, BoardShape, board_of, calibrate, detect_boards

@@ -19,7 +19,6 @@ from nishiki.formats.masks import examine_mask
 from nishiki.formats.picture_files import Exif, ImageHeader, several_layers
 from nishiki.formats.problems import CaptureError, Problem, refuse, warning
 
-SATURATED = 0.995  # of full scale, from which pixels count as saturated before a capture states more
 EXPOSURE_STEP = 0.12  # relative: cameras round exposures to thirds of a stop, and so by a sixth of one
 SAME_VALUE = 0.01  # relative difference of two statements of one value, such as a measured exposure time
 FOLDERS = ("frames", "white", "dark", "ambient", "silhouettes")

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.capture.taking import SATURATED
-from nishiki.formats.coding import Curve
+from nishiki.formats.coding import SATURATED, Curve
 from nishiki.threads import strips
 
 

@@ -49,8 +49,9 @@ from nishiki.capture.spheres.search import (
     read_overview,
     subtract_surroundings,
 )
-from nishiki.capture.taking import SATURATED, full_scale_of, read_grey
+from nishiki.capture.taking import full_scale_of, read_grey
 from nishiki.errors import UserError
+from nishiki.formats.coding import SATURATED
 from nishiki.formats.images import COARSE, read_header
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning

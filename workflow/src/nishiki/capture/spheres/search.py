@@ -15,8 +15,9 @@ import numpy as np
 
 from nishiki.capture.spheres.optics import LEAST_PEAK, Highlight, SphereCamera, outline_points
 from nishiki.capture.spheres.outline import Circle, Outline
-from nishiki.capture.taking import SATURATED, channel_names, full_scale_of, read_grey
+from nishiki.capture.taking import channel_names, full_scale_of, read_grey
 from nishiki.errors import UserError
+from nishiki.formats.coding import SATURATED
 from nishiki.formats.images import SEARCH_SIDE, read_codes, read_header
 from nishiki.threads import in_threads
 
