@@ -223,17 +223,8 @@ def fit_binding(
     grey = samples.values.mean(axis=1)
     share = samples.weight**2 / np.sum(samples.weight**2)
     variation = np.sqrt(max(share @ grey**2 - (share @ grey) ** 2, 0.0) / (share @ grey**2))
-    information = solution.jac.T @ solution.jac
-    return YarnFit(
-        binding,
-        solution.x,
-        c,
-        information,
-        float(2 * solution.cost) + prior_cost(binding),
-        float(rms),
-        float(variation),
-        spacing_ratio,
-    )
+    information, cost = solution.jac.T @ solution.jac, float(2 * solution.cost) + prior_cost(binding)
+    return YarnFit(binding, solution.x, c, information, cost, float(rms), float(variation), spacing_ratio)
 
 
 @dataclass(frozen=True)
@@ -337,10 +328,6 @@ def parameters_of(search: YarnSearch, *, confidence: float) -> dict[str, dict]:
             inside = abs(middle[0] - centre[k]) < 0.999 * REACH * width[k] and (k != ARCH or middle[0] > 0)
         value, low, high = (float(form(v)) for v in (middle[0], low, high))
         told = told or high - low < 2 * NARROW * value
-        out[name] = {
-            "value": value,
-            "low": max(low, 0.0),
-            "high": high,
-            "determined": best.explains and bool(told and inside),
-        }
+        determined = best.explains and bool(told and inside)
+        out[name] = {"value": value, "low": max(low, 0.0), "high": high, "determined": determined}
     return out

@@ -247,16 +247,9 @@ def fit_yarn_facets(
         weight[chosen.normal] = normal_weights(under)
         level = levels(brdf_of(fit), chosen.incident[oblique])
         weight[oblique] = single(chosen.grey[oblique], level, miss=MISS_OBLIQUE)
-        fit = fit_shape(
-            parts_of(chosen.incident, chosen.outgoing),
-            chosen.values,
-            weight,
-            centre=CENTRE,
-            spread=SPREAD,
-            limits=np.array([np.inf, LAMBERT]),
-            start=fit.x,
-            evaluations=evaluations,
-        )
+        known = {"centre": CENTRE, "spread": SPREAD, "limits": np.array([np.inf, LAMBERT])}
+        parts = parts_of(chosen.incident, chosen.outgoing)
+        fit = fit_shape(parts, chosen.values, weight, **known, start=fit.x, evaluations=evaluations)
     brdf = brdf_of(fit)
     error = brdf.evaluate(under.incident, under.outgoing).mean(axis=1) - under.grey
     weight = normal_weights(under)
