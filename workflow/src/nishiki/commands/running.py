@@ -314,7 +314,7 @@ def photograph_by_rig(by_hand: Path, folder: Path, capture: Path) -> int:
     """
     if capture.is_dir():
         return 0
-    from nishiki.simulate.rig import PaintingBench, run_at_terminal, write_rig
+    from nishiki.simulate.rig.bench import PaintingBench, run_at_terminal, write_rig
 
     bench = PaintingBench(by_hand, folder)
     try:
