@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import constants
 
 from nishiki.errors import UserError
 from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges, ranged
@@ -277,7 +276,7 @@ class SimulationSettings:
 
 
 TOP_INCIDENCE_DEG = 4.0  # a lamp cannot stand where the camera is
-_SECOND_RADIATION_CONSTANT_NM_K = 1e9 * constants.h * constants.c / constants.k
+_SECOND_RADIATION_CONSTANT_NM_K = 1.438776877e7
 
 
 @dataclass(frozen=True)
