@@ -159,6 +159,21 @@ def test_views_left_out_choose_how_freely_gloss_varies():
         tiles[number] = replace(tile, normals=normals)
     assert fitted(tiles, lighting)[1].freedom == 0
     assert fitted(*scene(squares, noise=0.002))[1].freedom == 1
+    # among views left out of the whole fit, whichever they are, others are hidden
+    for first in range(3):
+        kept = np.arange(VIEWS)[:, None, None] % 3 != first
+        fewer = {number: replace(tile, visible=tile.visible & kept) for number, tile in tiles.items()}
+        assert fitted(fewer, lighting)[1].freedom == 0
+
+
+@pytest.mark.parametrize("views", range(7))
+def test_few_views_of_one_tile_are_fitted(views):
+    tiles, lighting = scene(simplified(), noise=0.002)
+    few = replace(tiles[0], visible=tiles[0].visible & (np.arange(VIEWS)[:, None, None] < views))
+    found, report = fitted({0: few}, lighting)
+    assert all(np.isfinite(getattr(found[0], name)).all() for name in ("kd", "ks", "sigma"))
+    if views < 3:  # no view lies between two others
+        assert report.freedom == 1
 
 
 @pytest.mark.parametrize(("noise", "least_db"), [(0.0, 45), (0.003, 43)])

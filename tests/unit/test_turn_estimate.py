@@ -109,19 +109,25 @@ def test_a_known_lens_is_kept(even):
     assert found.tilt_deg == pytest.approx(np.degrees(TILT), abs=0.5)
 
 
-@pytest.mark.parametrize("fault", ["missing", "slipped", "twice"])
+@pytest.mark.parametrize("fault", ["missing", "slipped", "twice", "exchanged"])
 def test_unequal_steps_are_found(fault):
     angles = {
         "missing": np.delete(EVEN, 7),
         "slipped": EVEN + 6.0 * (EVEN >= 180),
         "twice": np.sort(np.append(EVEN, EVEN[5])),
+        "exchanged": EVEN[[*range(4), 5, 4, *range(6, 18)]],
     }[fault]
     found = estimate(outlines(angles))
     error = np.array(found.angles_deg) - angles
     assert found.steps == "free"
     assert np.abs(error - np.median(error)).max() < max(1.0, 3 * found.angle_sd_deg)
     assert found.left_out_px < 0.7 * found.left_out_equal_px
-    odd = {"missing": ["6 to 7"], "slipped": ["8 to 9", "17 to 0"], "twice": ["5 to 6"]}[fault]
+    odd = {
+        "missing": ["6 to 7"],
+        "slipped": ["8 to 9", "17 to 0"],
+        "twice": ["5 to 6"],
+        "exchanged": ["3 to 4", "4 to 5", "5 to 6"],
+    }[fault]
     assert list(found.uneven_steps_deg) == odd
 
 

@@ -93,21 +93,24 @@ def _choose_freedom(
     """Choose the factor on the scatter whose fit to two thirds of the views serves the others best, on some tiles.
 
     Wrong normals and shapes of the lobe that the model lacks scatter the texels' estimates, too, far beyond their
-    uncertainty; a texel that follows its own then shows a highlight where the next view has none. A view is predicted
-    as between captured ones: by the model and the mean of what it leaves in the views before and after.
+    uncertainty; a texel that follows its own then shows a highlight where the next view has none. Of three captured
+    views in a row the middle one is hidden, and predicted by the model and the mean of its residuals in the two others.
     """
-    hidden = np.arange(len(capture.centres)) % 3 == 1
+    captured = np.flatnonzero(np.any([read(number).visible.any(axis=(1, 2)) for number in tiles], axis=0))
+    rows = list(zip(captured[::3], captured[1::3], captured[2::3], strict=False))
 
     def shown(number: int) -> Tile:
         tile = read(number)
-        return replace(tile, visible=tile.visible & ~hidden[:, None, None])
+        visible = tile.visible.copy()
+        visible[[middle for _, middle, _ in rows]] = False
+        return replace(tile, visible=visible)
 
     def error(k: int, passes: _Passes) -> float:
         tile, total = read(tiles[k]).joined, 0.0
         fitted = _third(shown(tiles[k]).joined, capture, passes.widths, passes.gloss, passes.first[k])
-        for o in range(1, len(hidden) - 1, 3):
-            seen = tile.visible[o - 1 : o + 2].all(axis=0) & tile.inside
-            before, here, after = (capture.left(fitted, tile, view, seen) for view in (o - 1, o, o + 1))
+        for row in rows:
+            seen = tile.visible[list(row)].all(axis=0) & tile.inside
+            before, here, after = (capture.left(fitted, tile, int(view), seen) for view in row)
             total += float(np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64))
         return total
 
