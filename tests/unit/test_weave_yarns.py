@@ -304,6 +304,9 @@ def test_quantiles_of_bindings_are_those_of_their_mixture():
         for share in (0.025, 0.3, 0.975):
             found = mixed_quantile(share, *map(np.array, (middle, deviation, odds)))
             assert np.mean(draws < found) == pytest.approx(share, abs=2e-3)
+    for middle, share, expected in (([3.0], 0.025, 3.0), ([0.0, 9.0], 0.3, 0.0), ([0.0, 9.0], 0.975, 9.0)):
+        one = np.ones(len(middle))
+        assert mixed_quantile(share, np.array(middle), 0 * one, one) == pytest.approx(expected, abs=1e-7)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ more samples and a finer surface. Yarns that are long in coming up can imitate a
 cloth has its weight: priors of the yarns (NAMES, CENTRE, SPREAD), and UNUSUAL for a repeat that is seldom woven.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
@@ -295,7 +295,8 @@ def mixed_quantile(share: float, middle: np.ndarray, deviation: np.ndarray, odds
     from scipy.optimize import brentq
     from scipy.stats import norm
 
-    ends = [end(middle + side * 9 * deviation) for end, side in ((np.min, -1), (np.max, 1))]
+    deviation = np.maximum(deviation, 1e-9)  # 0 of a hidden family's share of the surface, which no parameter moves
+    ends = np.min(middle - 9 * deviation), np.max(middle + 9 * deviation)
     return float(brentq(lambda v: odds @ (norm.cdf((v - middle) / deviation) - share), *ends))
 
 
@@ -320,14 +321,12 @@ def parameters_of(search: YarnSearch, *, confidence: float) -> dict[str, dict]:
         ends = [mixed_quantile(0.5 + 0.5 * side * confidence, middle, deviation, odds) for side in (-1, 1)]
         low, high = min(ends[0], middle[0]), max(ends[1], middle[0])
         told = high - low < 2 * OPEN * before[0] * norm.ppf(0.5 + 0.5 * confidence)
-        form: Callable = float
-        inside = True
+        form, inside = float, True
         if name in NAMES:
             k = NAMES.index(name)
-            form = float if k == ARCH else expit if k in LOGITS else np.exp
+            form = expit if k in LOGITS else float if k == ARCH else np.exp
             inside = abs(middle[0] - centre[k]) < 0.999 * REACH * width[k] and (k != ARCH or middle[0] > 0)
         value, low, high = (float(form(v)) for v in (middle[0], low, high))
-        told = told or high - low < 2 * NARROW * value
-        determined = best.explains and bool(told and inside)
+        determined = best.explains and bool((told or high - low < 2 * NARROW * value) and inside)
         out[name] = {"value": value, "low": max(low, 0.0), "high": high, "determined": determined}
     return out

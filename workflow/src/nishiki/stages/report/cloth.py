@@ -309,9 +309,9 @@ def yarn_table(yarns: dict[str, Any], confidence: float) -> Table:
         ends: list[Cell] = [number["low"], number["high"]]
         rows.append([words, number["value"] if number["determined"] else "not determined", *ends])
     caption = (
-        f"The weave of elliptical yarns with confidence intervals ({round(100 * confidence)} %), which hold if its "
-        "yarns are elliptical and alike. Slopes are those of what is seen from above. Where the measurements tell no "
-        "more than is known of any cloth, the interval is that knowledge."
+        f"The weave of elliptical yarns with confidence intervals ({round(100 * confidence)} %), over all weaves that "
+        "fit about as well; they hold if the yarns are elliptical and alike. Slopes are those of the surface visible "
+        "from above. Where the measurements add nothing to the general experience of cloths, the interval states that."
     )
     return Table(("", "value", "from", "to"), rows, "wrrr", caption)
 
