@@ -9,11 +9,12 @@ import numpy as np
 import zarr
 
 from nishiki.atlas.atlas import Atlas
-from nishiki.formats.stored import FORMAT, open_made_by
+from nishiki.formats.stored import open_made_by
 from nishiki.geometry.camera import Camera
 
 STORE = "texels.zarr"
 ATLAS = "atlas.npz"
+FORMAT = 1  # of the file; readers refuse others
 
 
 @dataclass(frozen=True)

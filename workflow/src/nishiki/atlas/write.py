@@ -11,9 +11,8 @@ from zarr.codecs import ZstdCodec
 
 from nishiki.artifacts.outputs import Output, output_of
 from nishiki.atlas.atlas import Atlas
-from nishiki.atlas.store import ATLAS, STORE
+from nishiki.atlas.store import ATLAS, FORMAT, STORE
 from nishiki.atlas.surface import PixelPlaces, object_pixels, pixel_places, sample_view, texel_points, texel_triangles
-from nishiki.formats.stored import FORMAT
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.visibility import Raster, rasterise

@@ -33,7 +33,6 @@ from nishiki.formats.files import Refused, expect_bound, expect_memory, open_reg
 ZSTD_LEVEL = 1  # the quickest
 CHECKSUM_BYTES = 4  # of CRC-32C
 PACKED_BYTES = 1 << 10  # by which zstd makes small chunks larger at most
-FORMAT = 1  # of every kind of stored result; readers refuse others
 RUN_AGAIN = "Run the stage that made it again"
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from nishiki.artifacts.outputs import Output, as_declared
 from nishiki.errors import UserError
 from nishiki.formats.files import read_json
-from nishiki.formats.stored import FORMAT, load_arrays
+from nishiki.formats.stored import load_arrays
 from nishiki.goniometry.directions import Symmetry, angles
 from nishiki.goniometry.interpolation import coefficients, evaluate
 
@@ -113,6 +113,7 @@ class ReflectanceSet:
 
 
 ARRAYS, NAMES = "reflectance.npz", "reflectance.json"
+FORMAT = 1  # of the file; readers refuse others
 ROWS = ("incident", "outgoing", "values", "noise", "valid")
 GRID = ("theta", "phi", "values", "measured", "extrapolated")
 

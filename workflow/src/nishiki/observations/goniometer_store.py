@@ -20,7 +20,7 @@ from nishiki.formats.files import read_json
 from nishiki.formats.images import Region
 from nishiki.formats.masks import label_problems, read_labels
 from nishiki.formats.problems import CaptureError, Problem, error, group_problems, name_some, refuse, warning
-from nishiki.formats.stored import FORMAT, BandedGroup, load_arrays, open_group, understood
+from nishiki.formats.stored import BandedGroup, load_arrays, open_group, understood
 from nishiki.goniometry.directions import Symmetry, unit
 from nishiki.goniometry.hemisphere import FEWEST_PAIRS, forward_shine, reciprocity, turned_views, typical_albedo
 from nishiki.goniometry.readings import Photograph
@@ -309,6 +309,7 @@ class Measurements(StoredArrays):
 
 
 STORE, NAMES, TABLE = "goniometer.zarr", "goniometer.json", "table.npz"
+FORMAT = 1  # of the file; readers refuse others
 CHUNK_BYTES = 4 << 20
 
 

@@ -12,10 +12,8 @@ import numpy as np
 
 from nishiki.artifacts.outputs import Output
 from nishiki.errors import UserError, require
-from nishiki.formats.stored import FORMAT, BandedGroup, chunk_path, open_made_by, read_chunk, write_chunk
+from nishiki.formats.stored import BandedGroup, chunk_path, open_made_by, read_chunk, write_chunk
 from nishiki.polarisation.polariser_states import StateSums
-
-STORE = "components.zarr"
 
 
 @dataclass(frozen=True)
@@ -201,6 +199,10 @@ def _between(blocks: np.ndarray, shape: tuple[int, int], block: int) -> np.ndarr
         weight = (place - lower).reshape([-1 if k == axis else 1 for k in range(3)])
         blocks = np.take(blocks, lower, axis=axis) * (1 - weight) + np.take(blocks, upper, axis=axis) * weight
     return blocks
+
+
+STORE = "components.zarr"
+FORMAT = 1  # of the file; readers refuse others
 
 
 class ComponentWriter:

@@ -8,12 +8,12 @@ import numpy as np
 
 from nishiki.brdf.cloth.store import load_brdf
 from nishiki.errors import UserError
-from nishiki.formats.stored import FORMAT
 from nishiki.weave.fit import Plane, WeaveFit, WeaveModel
 from nishiki.weave.yarn_search import YarnSearch, parameters_of
 from nishiki.weave.yarn_weave import InterlacedYarns
 
 NAME = "weave.json"
+FORMAT = 1  # of the file; readers refuse others
 
 
 def describe(

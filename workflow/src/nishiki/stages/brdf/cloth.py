@@ -17,7 +17,6 @@ from nishiki.brdf.cloth.interface import (
 from nishiki.brdf.cloth.models import BEST, YARNS, Fitted, fit_models, left_out_error
 from nishiki.brdf.cloth.store import goniometer_rows, save_brdf
 from nishiki.brdf.cloth.yarn_fit import Measured
-from nishiki.formats.stored import FORMAT
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import Reflectances, ReflectanceSet
@@ -27,6 +26,7 @@ from nishiki.optional_formats.reflectance_tables import write_utia
 from nishiki.stages.brdf import CLOTH_OUTPUTS
 from nishiki.weave.store import read_yarns
 
+FORMAT = 1  # of the file; readers refuse others
 ALBEDO_DEG = (0, 30, 60, 80)
 EXPORT_INCIDENT_DEG = [
     (0.0, 0.0),
