@@ -245,4 +245,4 @@ def test_without_the_extra_the_remedy_is_named(folder, capsys, monkeypatch):
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
     monkeypatch.setattr(lines, "QUIET_S", 0.05)
-    monkeypatch.setattr(described, "ANSWER_S", 1.0)
+    monkeypatch.setattr(described, "GREETING_S", 1.0)

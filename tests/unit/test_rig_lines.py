@@ -41,7 +41,8 @@ def short_waits(monkeypatch):
     """Simulated devices answer at once: a missing answer need not be waited for as long as a real one."""
     monkeypatch.setattr(lines, "QUIET_S", 0.05)
     for module in (axes, described):
-        monkeypatch.setattr(module, "ANSWER_S", 1.0)
+        monkeypatch.setattr(module, "ANSWER_S", 0.6)
+        monkeypatch.setattr(module, "GREETING_S", 1.0)
     monkeypatch.setattr(axes, "MOVE_S", 1.0)
 
 

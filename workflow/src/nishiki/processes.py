@@ -14,7 +14,8 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-START = 19  # place in /proc/<pid>/stat after the name, which may hold spaces and brackets
+START_FIELD = 22  # of /proc/<pid>/stat, counted from one
+AFTER_NAME = 3  # first field after the name, which may hold spaces and brackets
 
 
 @cache
@@ -54,7 +55,7 @@ def start_ticks(pid: int) -> int | None:
         fields = Path("/proc", str(pid), "stat").read_bytes().rpartition(b")")[2].split()
     except OSError:
         return None
-    return int(fields[START]) if fields[0] not in (b"Z", b"X") else None
+    return int(fields[START_FIELD - AFTER_NAME]) if fields[0] not in (b"Z", b"X") else None
 
 
 def identity(pid: int | None = None) -> str:

@@ -26,15 +26,13 @@ import numpy as np
 import yaml
 
 from nishiki.calibrate.result import SATURATED_SHARE, Calibration, finite, list_photographs
-from nishiki.capture.taking import channel_names, full_scale_of, read_channels, read_grey
+from nishiki.capture.taking import SATURATED, channel_names, full_scale_of, read_channels, read_grey
 from nishiki.errors import UserError
-from nishiki.formats.coding import SATURATED
 from nishiki.formats.images import read_header
 from nishiki.formats.text_tables import number_of, table_rows
 from nishiki.geometry.board import BoardCorners, BoardShape, board_of, calibrate, detect_boards
 from nishiki.geometry.board import Calibration as LensFit
 from nishiki.observations.linearise import check_linearity
-from nishiki.observations.reference import DEAD
 from nishiki.report.page import Figure, Figures, Section, Table
 from nishiki.report.pictures import encoded, heat, scalar_picture
 from nishiki.report.svg import PALETTE, Curve, chart
@@ -42,6 +40,7 @@ from nishiki.report.svg import PALETTE, Curve, chart
 LEAST_LEVELS = 3  # exposures
 WINDOW = 0.5  # share of each side, in the middle, from which means and variances are taken
 HOT_SIGMAS = 8.0  # of the dark frame's own scatter
+DEAD_SHARE = 0.5  # of the light of its neighbours
 NONLINEAR = 0.01  # largest deviation from the line, of the largest value, that is not warned about
 RESPONSE = 0.5  # of white: the response at which the noise for the stage spectra is stated
 
@@ -205,7 +204,7 @@ def _defects(dark: np.ndarray, light: np.ndarray | None) -> tuple[np.ndarray, np
     if light is None:
         return hot, np.zeros_like(hot), np.full(dark.shape[:2], np.nan)
     around = np.stack([cv2.medianBlur(np.ascontiguousarray(light[..., c]), 5) for c in range(light.shape[2])], axis=-1)
-    dead = light < DEAD * around
+    dead = light < DEAD_SHARE * around
     smooth = cv2.GaussianBlur(around.mean(axis=2), (0, 0), max(1.0, max(dark.shape[:2]) / 50))
     return hot, dead, smooth / smooth.max()
 

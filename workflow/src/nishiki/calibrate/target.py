@@ -14,7 +14,6 @@ from nishiki.colour.colour import adaptation_matrix, delta_e_2000, srgb_matrix, 
 from nishiki.colour.colour import illuminant as named_illuminant
 from nishiki.colour.sampling import WAVELENGTHS_NM, channel_weights
 from nishiki.errors import UserError
-from nishiki.formats.images import SEARCH_SIDE
 from nishiki.installation import optional
 
 ROWS, COLUMNS = 4, 6
@@ -22,6 +21,8 @@ NEUTRAL = slice(18, 24)
 """The grey scale, from white to black."""
 HALF_WINDOW = 0.2
 """Half a side of the averaged square, in distances between patches: patches are at least 0.8 wide."""
+WIDEST = 1600
+"""Largest width in pixels of the picture in which the target is searched."""
 LIKENESS = 0.9
 """Lowest correlation of the patches' lightness with the reference; lower values mean other patches."""
 
@@ -114,7 +115,7 @@ def find_target(picture: np.ndarray) -> np.ndarray:
     """
     import cv2
 
-    scale = max(1.0, max(picture.shape) / SEARCH_SIDE)
+    scale = max(1.0, picture.shape[1] / WIDEST)
     small = cv2.resize(picture, None, fx=1 / scale, fy=1 / scale, interpolation=cv2.INTER_AREA)
     detector = cv2.mcc.CCheckerDetector.create()
     detector.setColorChartType(cv2.mcc.MCC24)

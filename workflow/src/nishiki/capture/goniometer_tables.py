@@ -34,6 +34,8 @@ QUANTITIES = {
 BRDF, UNSAID = "BRDF (1/sr)", "no quantity in the name"
 Lines = Iterator[tuple[int, str]]
 Rows = Iterator[tuple[int, list[str]]]
+FEWEST_ANGLES = 6  # measurements whose angles together tell their unit
+LEAST_SPREAD = 0.1  # greatest theta, in whatever unit, below which angles tell nothing
 
 
 @dataclass(frozen=True)
@@ -238,7 +240,7 @@ def in_radians(angles: np.ndarray) -> bool:
     """Return whether angles (n, 4) are radians: no theta above pi / 2, no phi above 2 pi."""
     theta, phi = np.abs(angles[:, [0, 2]]), np.abs(angles[:, [1, 3]])
     within = (theta <= np.pi / 2 + 1e-3).all() and (phi <= 2 * np.pi + 1e-3).all()
-    return bool(within and theta.any())
+    return bool(within and len(angles) >= FEWEST_ANGLES and theta.max() > LEAST_SPREAD)
 
 
 def radians_problem(file: str) -> Problem:

@@ -45,13 +45,13 @@ from nishiki.capture.registered import (
     whole,
 )
 from nishiki.capture.tables import LENS_COLUMNS, Intrinsics
-from nishiki.capture.taking import SAME_VALUE
 from nishiki.formats.files import files_with, read_bytes, read_text
 from nishiki.formats.problems import CaptureError, Problem, error, left_out, raise_errors, refuse, warning
 from nishiki.formats.text_tables import expect_rows, reading
 
 LINES = 5  # of a camera
 POINTS = 1000  # that are compared with the sizes of the photographs
+OUTSIDE = 1.0  # pixels by which a point may lie outside of its photograph
 
 
 def read_bundler(path: Path, pictures: Pictures) -> Registration:
@@ -84,7 +84,7 @@ def read_bundler(path: Path, pictures: Pictures) -> Registration:
                 unplaced.append(name)
                 continue
             rows, columns = pictures.size(name, path.name)
-            if 2 * x > columns or 2 * y > rows:
+            if 2 * x > columns + OUTSIDE or 2 * y > rows + OUTSIDE:
                 what = f"expected the photograph that Bundler was given, of {2 * x:.0f} x {2 * y:.0f} pixels or more"
                 problems.append(error("camera-values", name, what, found=f"{columns} x {rows}"))
             pose = GL @ np.column_stack([rigid(camera[3:12].reshape(3, 3)), camera[12:]])
@@ -338,6 +338,7 @@ TRANSFORMS = "transforms.json"
 TRANSFORMS_PARTS = "transforms_"  # of a set in parts: transforms_train.json, transforms_val.json, transforms_test.json
 NERF_LENSES = ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV", "PERSPECTIVE")
 OTHER_NAMES = ("k4", "k5", "k6", "k7", "k8", "p3", "p4", "s1", "s2", "s3", "s4")  # of richer models, and of fish-eyes
+SAME_ANGLE = 0.01  # relative difference of a focal length and an angle of view that state the same
 MIDDLE = (0.2, 0.8)  # where principal points lie, of the picture's sides
 
 
@@ -441,6 +442,6 @@ def _focal_length(frame: dict, axis: str, side: int) -> float | None:
     if angle is None:
         return stated
     implied = side / 2 / math.tan(min(positive(angle, f"camera_angle_{axis}"), math.pi - 1e-6) / 2)
-    if stated and abs(implied / stated - 1) > SAME_VALUE:
+    if stated and abs(implied / stated - 1) > SAME_ANGLE:
         raise ValueError(f"fl_{axis} {stated:g}, but camera_angle_{axis} makes {implied:g} over {side} pixels")
     return stated or implied

@@ -15,7 +15,7 @@ import numpy as np
 
 from nishiki.capture.lights import Lights, from_angles, is_unicode, light_name, lights_from_vectors, read_numbers
 from nishiki.capture.options import ANGLES
-from nishiki.formats.coding import SATURATED
+from nishiki.capture.taking import SATURATED
 from nishiki.formats.files import same_name
 from nishiki.formats.images import read_coarse, read_header
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning

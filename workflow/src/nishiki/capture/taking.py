@@ -19,8 +19,8 @@ from nishiki.formats.masks import examine_mask
 from nishiki.formats.picture_files import Exif, ImageHeader, several_layers
 from nishiki.formats.problems import CaptureError, Problem, refuse, warning
 
-EXPOSURE_STEP = 0.12  # relative: cameras round exposures to thirds of a stop, and so by a sixth of one
-SAME_VALUE = 0.01  # relative difference of two statements of one value, such as a measured exposure time
+SATURATED = 0.98  # of full scale, from which pixels count as saturated before a capture states more
+SAME_EXPOSURE = 0.01  # cameras that measure the exposure time write it with such differences
 FOLDERS = ("frames", "white", "dark", "ambient", "silhouettes")
 
 
@@ -131,13 +131,13 @@ def state_exposures(folder: Path, rows: list[dict[str, str]]) -> list[Problem]:
 
 
 def compare_exposures(recorded: Sequence[Exif]) -> tuple[dict[str, str], list[int]]:
-    """Report each column of exposures that differs by more than SAME_VALUE, and missing values."""
+    """Report each column of exposures that differs by more than SAME_EXPOSURE, and missing values."""
     said: dict[str, str] = {}
     unknown: set[int] = set()
     for column in EXPOSURE_COLUMNS:
         values = [getattr(exif, column) for exif in recorded]
         stated = [value for value in values if value is not None]
-        if stated and max(stated) > min(stated) * (1 + SAME_VALUE):
+        if stated and max(stated) > min(stated) * (1 + SAME_EXPOSURE):
             said[column] = f"{column} {min(stated):.4g} to {max(stated):.4g}"
             unknown |= {i for i, value in enumerate(values) if value is None}
     return said, sorted(unknown)

@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-SATURATED = 0.995  # of full scale, from which pixels count as saturated before a capture states more
 RGB = ("red", "green", "blue")
 LUMA_WEIGHTS = np.array([0.299, 0.587, 0.114])  # ITU-R BT.601, the weights of a JPEG's luma plane
 D50 = (0.9642, 1.0, 0.8249)

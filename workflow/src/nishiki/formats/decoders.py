@@ -15,7 +15,6 @@ import numpy as np
 import tifffile
 
 from nishiki.formats.coding import D65, LINEAR, Coding, Matrix, primaries_xyz, transfer_function
-from nishiki.formats.files import MOST_PARTS
 from nishiki.formats.picture_files import (
     AS_RGB,
     MOST_RATIO,
@@ -35,6 +34,7 @@ from nishiki.formats.picture_files import (
 from nishiki.formats.problems import CaptureError, error
 from nishiki.installation import install_command
 
+MOST_PAGES = 256  # of a file
 NONE_PACKED, WHITE_IS_ZERO, GREY, RGB, PALETTE, YCBCR, LINEAR_RAW = 1, 0, 1, 2, 3, 6, 34892
 BY_JPEG = (6, 7, 34892, 33007)  # compressions that turn YCbCr into RGB themselves
 OTHER_MODELS = {5: "CMYK", 8: "CIELab", 9: "ICCLab", 10: "ITULab", 32803: "a sensor's mosaic (CFA)", 32844: "LogL",
@@ -105,17 +105,17 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
 def _full_pages(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
     """List pages that are no previews and no masks, of the file's chain or else of the pages below."""
     chain: list[tifffile.TiffPage] = []
-    for number in range(MOST_PARTS + 1):
+    for number in range(MOST_PAGES + 1):
         try:
             chain.append(tiff.pages[number].aspage())
         except IndexError:
             break
-    if len(chain) > MOST_PARTS:
-        raise ValueError(f"TIFF of more than {MOST_PARTS} pages")
+    if len(chain) > MOST_PAGES:
+        raise ValueError(f"TIFF of more than {MOST_PAGES} pages")
     full = [page for page in chain if not _is_preview(page)]
     if not full:
         below = [sub.aspage() for page in chain for sub in (page.pages or ())]
-        full = [page for page in below[:MOST_PARTS] if not _is_preview(page)]
+        full = [page for page in below[:MOST_PAGES] if not _is_preview(page)]
     if not full:
         raise ValueError("TIFF without an image")
     largest = max(page.imagelength * page.imagewidth for page in full)

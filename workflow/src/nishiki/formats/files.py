@@ -104,7 +104,6 @@ def remedy(name: str) -> str:
     return f"If it is as it should be, raise the bound: {VARIABLE}={name}=..., now {bound(name)} {BOUNDS[name].unit}"
 
 
-MOST_PARTS = 256  # that a heading may list: pages of a TIFF, scans of a JPEG, elements of a mesh and their properties
 NAME_BYTES = 200  # file systems hold 255; what is made from a file gets a longer name
 
 

@@ -77,7 +77,6 @@ def absurd_claim(header: ImageHeader, bytes_on_disk: int, name: str) -> Problem 
 
 
 LEAST_SHIFT = 0.5  # pixels: smaller displacements, which the light imitates on smooth relief, are left alone
-SEARCH_SIDE = 1200.0  # pixels of the longer side of photographs in which spheres or a chart are searched
 COARSE = 40  # blocks along the longer side of a picture that is looked at as a whole
 Region = tuple[int, int, int, int]  # row, column, rows, columns
 

@@ -16,7 +16,8 @@ SMALL_LABELS = 16  # integers below it number the parts of the object; 16 is bla
 FEW_COLOURS = 32  # flat colours of a painted label picture; a photograph has more
 NEAR = 1 / 16  # of the range of values: JPEG and dithering scatter flat areas by less
 FAINT = 1 / 8  # of the lightest value: two values closer than this do not look like black and white
-FLAT = 0.98  # share of the visible pixels of one or two colours, edges of a soft brush left out
+FLAT = 0.98  # share of the visible pixels of one colour, edges of a soft brush left out
+EVEN = 0.95  # share of the pixels at either end of the range in a picture of two values
 STRAY = 0.01  # share of the pixels of other values that may lie apart from the outline of a smooth edge
 THUMBNAIL = 512  # pixels of the longer side on which the outline is judged
 HOLE = 0.04  # share of the picture from which one hole looks like an object with its background marked
@@ -178,7 +179,7 @@ def _select_values(colours: np.ndarray, alpha: np.ndarray, name: str) -> tuple[n
     if (np.abs(seen - np.median(seen)) <= near).mean() >= FLAT:
         return alpha, []
     ends = ((seen - seen.min() <= near) | (seen.max() - seen <= near)).mean()
-    if ends >= FLAT:
+    if ends >= EVEN:
         what = "both the colours and the alpha channel have a shape: transparent pixels are taken for the background"
         problems.append(warning("mask-alpha", name, what, remedy="Flatten the picture if that is wrong"))
         return np.where(visible, values, values[visible].min()), problems

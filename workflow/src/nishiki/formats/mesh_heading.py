@@ -11,7 +11,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from nishiki.formats.files import MOST_PARTS, Refused, expect_bound, open_regular
+from nishiki.formats.files import Refused, expect_bound, open_regular
 from nishiki.formats.problems import CaptureError, refuse
 from nishiki.formats.text_tables import refusal
 
@@ -21,6 +21,7 @@ KINDS |= {"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"}
 FORMATS = ("ascii", "binary_little_endian", "binary_big_endian")
 MESHES = (".ply", ".obj")
 LONGEST = 1 << 16  # bytes of a heading
+MOST = 256  # elements, or properties of one
 REMEDY = "Export the mesh again"
 UNREADABLE = "damaged PLY file: its heading cannot be read"
 
@@ -111,7 +112,7 @@ def read_heading(stream: BinaryIO, file: str) -> tuple[bool, list[Element], int]
             case _:
                 raise Refused(file, UNREADABLE, found=repr(line[:60]), remedy=REMEDY)
     hollow = [e.name for e in elements if e.count and not e.properties]
-    if form not in FORMATS or hollow or max(len(elements), *(len(e.properties) for e in elements), 0) > MOST_PARTS:
+    if form not in FORMATS or hollow or len(elements) > MOST or any(len(e.properties) > MOST for e in elements):
         found = f"elements {', '.join(hollow)} without properties" if hollow else f"format {form!r}"
         raise Refused(file, UNREADABLE, found=found, remedy=REMEDY)
     end += len(b"end_header")

@@ -20,7 +20,6 @@ from nishiki.formats.coding import (
     icc_profile,
     png_coding,
 )
-from nishiki.formats.files import MOST_PARTS
 from nishiki.formats.problems import CaptureError, error, refuse
 
 MOST_BYTES = 1 << 16  # of the Exif block of a JPEG or PNG: a JPEG segment holds no more
@@ -194,6 +193,7 @@ Output = Callable[[tuple[int, ...], str], np.ndarray]  # makes an array of this 
 MOST_RATIO = (
     4000  # of samples over a file: LZW packs 4096 bytes into 12 bits, JPEG 768 samples into one bit, deflate 1032 to 1
 )
+MOST_SCANS = 200  # of a JPEG; progressive ones have about ten
 MOST_PROFILE = 1 << 24  # bytes of an embedded profile and of a PNG chunk that describes the picture
 TAIL, BLOCK = 1 << 12, 1 << 20  # bytes in which the end of a picture is looked for first, and in turn
 AS_RGB = "Save it as RGB or grey in the program that wrote it"
@@ -322,8 +322,8 @@ def open_jpeg(file: BinaryIO, name: str) -> Picture:
 
         file.seek(0)
         content = file.read()
-        if content.count(b"\xff\xda", end) > MOST_PARTS:
-            raise ValueError(f"JPEG of more than {MOST_PARTS} scans")
+        if content.count(b"\xff\xda", end) > MOST_SCANS:
+            raise ValueError(f"JPEG of more than {MOST_SCANS} scans")
         single = channels == 1 or wanted.luma
         out = output((rows, columns, 1 if single else 3), "uint8")
         imagecodecs.jpeg8_decode(

@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.formats.coding import SATURATED, Curve
+from nishiki.formats.coding import Curve
 from nishiki.threads import strips
+
+DEFAULT_SATURATION = 0.995  # of full scale
 
 
 def full_scale(dtype: np.dtype, bits: int | None) -> float:
@@ -62,7 +64,7 @@ def saturation_code(dtype: np.dtype, fraction: float | None, bits: int | None = 
     """
     if np.dtype(dtype).kind == "f":
         return np.float32(np.inf if fraction is None else fraction)
-    return np.dtype(dtype).type(np.ceil((fraction or SATURATED) * full_scale(dtype, bits)))
+    return np.dtype(dtype).type(np.ceil((fraction or DEFAULT_SATURATION) * full_scale(dtype, bits)))
 
 
 def count_unusable(

@@ -25,7 +25,6 @@ import numpy as np
 from nishiki.capture.folder import Capture
 from nishiki.capture.frames import Frame
 from nishiki.capture.lights import direction_problems
-from nishiki.capture.taking import EXPOSURE_STEP
 from nishiki.formats.problems import Problem, error_text, name_some, raise_errors, warning
 from nishiki.formats.stored import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.consistency import (
@@ -66,6 +65,7 @@ from nishiki.photometric.consistency import (
 from nishiki.photometric.lambert_fit import solve_normals
 
 UNEQUAL = 0.08  # spread of log strengths about a linear course over the directions, as no equal lamps have shown
+ODD_EXPOSURE = 0.1  # of the brightness that a recorded exposure may be off: cameras round to thirds of a stop
 AMBIENT_BIAS = 0.2  # of the estimated light of the room, by which it was off on six measured sets (rms .14)
 
 
@@ -178,7 +178,7 @@ def _choose_gains(
     significant = off > np.maximum(LEAST_GAIN, SURE * found.gain_sigma)
     problems = []
     times = [f.exposure for f in frames if f.exposure is not None]
-    odd = significant & (off > EXPOSURE_STEP)
+    odd = significant & (off > ODD_EXPOSURE)
     if times and max(times) > min(times) and odd.any():
         j = int(np.argmax(np.where(odd, off, 0)))
         what = "the brightness of photographs does not match their recorded exposures"

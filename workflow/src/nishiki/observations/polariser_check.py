@@ -10,7 +10,6 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError, require
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
-from nishiki.observations.consistency import LONGEST
 from nishiki.observations.frames import FrameReader, Tick, examine_frames
 from nishiki.observations.linearise import CHECK_BLOCK, count_unusable, picture_edges
 from nishiki.observations.reference import measure_darks
@@ -20,6 +19,8 @@ from nishiki.polarisation.polarisation import LIT
 from nishiki.polarisation.polariser_states import equal_steps, sums_of
 from nishiki.polarisation.series import SeriesOrder, find_order, remove_nuisance, series_design
 
+SIDE = 96
+"""Longer side in pixels of the averaged photographs, at which noise is negligible."""
 EXCHANGED = 1.02
 """Ratio of crossed to parallel light from which the states count as exchanged. Off and on give 0.3 to 0.5,
 angles 0.2 to 0.99, light never more than 1; a lamp that varies between photographs adds 1 %."""
@@ -40,11 +41,11 @@ class PolariserLevels:
             return
         import cv2
 
-        step = max(1, max(codes.shape[:2]) // (4 * LONGEST))
+        step = max(1, max(codes.shape[:2]) // (4 * SIDE))
         some = codes[::step, ::step]
         linear = self.reader.table[some] if codes.dtype.kind == "u" else some
         linear = (linear.mean(axis=2) - self.reader.black) * inside[::step, ::step] / (frame.exposure or 1.0)
-        factor = min(1.0, LONGEST / max(linear.shape))
+        factor = min(1.0, SIDE / max(linear.shape))
         size = tuple(max(1, round(n * factor)) for n in linear.shape[::-1])
         small = cv2.resize(np.nan_to_num(linear).astype(np.float32), size, interpolation=cv2.INTER_AREA)
         key = frame.role, frame.light, frame.view

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 
 from nishiki.capture.frames import Frame
-from nishiki.capture.taking import SAME_VALUE
+from nishiki.capture.taking import SAME_EXPOSURE
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.kernels import block_levels, count_outliers
 from nishiki.observations.linearise import Edges
 
-NOISE = 0.02  # of full scale: below it noise and rounding are several percent of a board; a dark pixel above it is hot
+TOO_DARK = 0.02  # of full scale: below it noise and rounding are several percent of the board
 BAD_SHARE = 0.25  # of a block's samples
 MIN_GOOD_BLOCKS = 0.5  # share below which a board is refused
 
@@ -61,10 +61,10 @@ def white_field(
     levels, unusable = block_levels(codes, table, *edges, float(saturated), float(clip))
     board = levels - dark
     bright_share = float((codes >= saturated).any(axis=2).mean())
-    least = NOISE
+    least = TOO_DARK
     if codes.dtype.kind != "u":  # float samples have no full scale: relative to their brightest
         brightest = float(board[np.isfinite(board)].max(initial=0.0))
-        least = max(NOISE * brightest, float(np.finfo(np.float32).tiny))
+        least = max(TOO_DARK * brightest, float(np.finfo(np.float32).tiny))
     with np.errstate(invalid="ignore"):
         too_dark = ~(board >= least)
         bad = (too_dark | (unusable > BAD_SHARE)).any(axis=2)
@@ -90,12 +90,13 @@ def _unusable_board(name: str, bright_share: float, board: np.ndarray) -> Proble
         remedy = "Expose the board less (give exposure_s) or use a grey board with its reflectance"
         return error("white-saturated", name, "white board is saturated", found=found, remedy=remedy)
     level = float(np.nanmedian(board)) if np.isfinite(board).any() else 0.0
-    found, expected = f"median {100 * level:.2f} % of full scale", f"at least {100 * NOISE:g} %"
+    found, expected = f"median {100 * level:.2f} % of full scale", f"at least {100 * TOO_DARK:g} %"
     remedy = "Expose the board longer (give exposure_s), or check that it fills the picture"
     return error("white-dark", name, "white board is too dark or uneven", expected=expected, found=found, remedy=remedy)
 
 
-DEAD = 0.1  # of the light around it on a white board: a pixel with less is dead
+HOT = 0.02  # of full scale above its block in the dark; see `hot_limit` for samples without a full scale
+DEAD = 0.1  # of its block's level on the white board
 
 
 @dataclass(frozen=True)
@@ -192,26 +193,26 @@ def measure_room(reader: FrameReader, darks: DarkField, tick: Callable[[str], No
 
 
 def hot_limit(reader: FrameReader, edges: Edges) -> float:
-    """Compute the linear value above its block from which a dark pixel is hot: NOISE of full scale, at any bit depth.
+    """Compute the linear value above its block from which a dark pixel is hot: HOT of full scale, at any bit depth.
 
     Float samples have a full scale only where the capture says from which value they are saturated; else the brightest
     block of the first white board, or of the first photograph of the object, stands for it.
     """
     if reader.dtype.kind == "u":
-        return NOISE
+        return HOT
     if np.isfinite(reader.saturated):
-        return NOISE * float(reader.saturated)
+        return HOT * float(reader.saturated)
     codes = reader.read((reader.capture.frames_of("white") or reader.capture.observed)[0])
     levels, _ = block_levels(codes, reader.table, *edges, np.inf, -np.inf)
     brightest = float(np.max(levels, initial=0, where=np.isfinite(levels)))
-    return NOISE * brightest if brightest > 0 else np.inf
+    return HOT * brightest if brightest > 0 else np.inf
 
 
 def _dark_problems(reader: FrameReader, exposures: tuple[float | None, ...]) -> tuple[Problem, ...]:
     if None in exposures:
         return ()
     lit = {f.exposure_s for f in reader.capture.frames if f.role in ("sample", "check", "white") and f.exposure_s}
-    far = [t for t in sorted(lit) if all(abs(t / dark_exposure - 1) > SAME_VALUE for dark_exposure in exposures)]
+    far = [t for t in sorted(lit) if all(abs(t / dark_exposure - 1) > SAME_EXPOSURE for dark_exposure in exposures)]
     if not far:
         return ()
     found = f"exposures {', '.join(f'{t:g} s' for t in far[:4])}"

@@ -19,18 +19,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.formats.images import LEAST_SHIFT, Region
-from nishiki.observations.kernels import CLIP_SIGMAS
-from nishiki.photometric.consistency import SURE
 
+SIGMAS = 5.0  # times its standard error that a displacement must have
 LIGHT_BIAS = 0.06  # pixels of shift that a change of the lamp imitated on objects that did not move
 TURN_LIMIT = 1.0  # pixels, at the mean distance of the windows from the centre: relief in them shifts with the lamp
 WINDOW, MARGIN = 160, 32  # pixels: side of a window at full resolution, and what is stored around it
 GRID = 3  # windows a side
-NEIGHBOURS = 6  # lamps of the most similar directions with which a photograph is compared; as many as half must agree
+NEIGHBOURS = 6  # lamps of the most similar directions with which a photograph is compared
 LEAST_PEAK = 7.0  # height of a peak of correlation, in robust standard deviations of the plane
+LEAST_SUPPORT = 3  # pairs that must agree on a photograph
+AGREE = 0.5  # pixels within which they agree
 ROUNDS = 24  # of robust least squares
 FINE, COARSER = 1.0, 1.6  # standard deviations of the Gaussians whose difference is the Laplacian, pixels
 FLOOR = 0.03  # of the bright parts, added before the logarithm
+CLIP = 4.0  # robust standard deviations at which features end
 PEAK_WIDTH = 0.7  # pixels: standard deviation of the Gaussian that smooths the correlation
 AT_A_TIME = 1 << 20  # pixels of correlation
 WHITENING = 0.3  # part of the mean amplitude below which frequencies count less
@@ -57,8 +59,8 @@ class Movement:
 
     @property
     def significant(self) -> np.ndarray:
-        """(lights,) bool: photographs that moved by more than LEAST_SHIFT and SURE standard errors."""
-        return self.largest > np.maximum(LEAST_SHIFT, SURE * self.sigma)
+        """(lights,) bool: photographs that moved by more than LEAST_SHIFT and SIGMAS standard errors."""
+        return self.largest > np.maximum(LEAST_SHIFT, SIGMAS * self.sigma)
 
     @property
     def moved(self) -> np.ndarray:
@@ -162,7 +164,7 @@ def solve_movement(windows: list[Window], pairs: np.ndarray, before: Movement) -
     turn, scale = before.turn + change[:, 2] / reach, before.scale + change[:, 3] / reach
     lever = np.sqrt(np.average(np.square(places).sum(axis=1), weights=np.maximum(peaks - LEAST_PEAK, 1e-9)))
     outer, known = lever * reach * np.hypot(turn, scale), np.isfinite(sigma[:, 1])
-    if not (outer[known] > np.maximum(TURN_LIMIT, SURE * lever * sigma[known, 1])).any():
+    if not (outer[known] > np.maximum(TURN_LIMIT, SIGMAS * lever * sigma[known, 1])).any():
         turn = scale = np.zeros(count)
         change, sigma = fit_movements(places, measured, peaks, pair, count, turn=False)
     return Movement(before.shift + change[:, :2], turn, scale, np.hypot(sigma[:, 0], LIGHT_BIAS), reach, centre)
@@ -204,9 +206,9 @@ def fit_movements(
             median = float(residual[order][np.searchsorted(total, total[-1] / 2)]) if total[-1] > 0 else 0.0
             scale = max(1.4826 * median, 0.02)
             weights = strength / np.square(1 + np.square(residual / (2 * scale)))
-    agrees = (residual < LEAST_SHIFT) & (strength > 0)
+    agrees = (residual < AGREE) & (strength > 0)
     support = np.bincount(pairs[agrees].ravel(), minlength=count)
-    supported = support >= NEIGHBOURS / 2
+    supported = support >= LEAST_SUPPORT
     first = int(np.argmax(supported))
     inverse = factors.solve(np.eye(size))
     degrees = max(2 * int((weights > 0).sum()) - size, 1)
@@ -252,7 +254,7 @@ def laplacian(values: np.ndarray, taper: np.ndarray) -> np.ndarray:
 
     curved = cv2.GaussianBlur(values, (0, 0), COARSER) - cv2.GaussianBlur(values, (0, 0), FINE)
     unit = 1.4826 * np.median(np.abs(curved[taper > 0])) + 1e-12
-    return np.clip(curved / unit, -CLIP_SIGMAS, CLIP_SIGMAS)
+    return np.clip(curved / unit, -CLIP, CLIP)
 
 
 def _compare(window: Window, pairs: np.ndarray, movement: Movement) -> tuple[np.ndarray, np.ndarray]:

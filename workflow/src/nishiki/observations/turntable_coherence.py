@@ -7,7 +7,6 @@ import numpy as np
 
 from nishiki.capture.turntable import Turntable, TurntableCapture
 from nishiki.errors import UserError
-from nishiki.formats.masks import THUMBNAIL
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.camera import Camera, cameras_of_matrices
 from nishiki.geometry.mesh import Mesh, face_vectors, read_triangles
@@ -81,6 +80,8 @@ def _remedy(block: Turntable, found: "Placement", world: np.ndarray) -> str:
     return f"Set {' and '.join(keys)} under turntable in capture.yaml and seal a copy"
 
 
+WORKING_SIDE = 480
+"""Longer side in pixels of the photographs in which the check searches for silhouettes."""
 GUESSED_OUTLINE = 2.0
 """Separation of the two sides of an outline, in spreads of the background, below which the outline is a guess."""
 DOUBTFUL, INCOHERENT = 0.06, 0.10
@@ -107,9 +108,9 @@ class Pictures:
         from nishiki.geometry.silhouettes import display, segment
 
         self.wanted.discard(view)
-        step = max(1, max(codes.shape[:2]) // (2 * THUMBNAIL))  # an outline is found as well on every n-th pixel
+        step = max(1, max(codes.shape[:2]) // (2 * WORKING_SIDE))  # an outline is found as well on every n-th pixel
         codes = codes[::step, ::step]
-        factor = min(1.0, THUMBNAIL / max(codes.shape[:2]))
+        factor = min(1.0, WORKING_SIDE / max(codes.shape[:2]))
         size = tuple(max(2, round(n * factor)) for n in codes.shape[1::-1])
         if self.dark is None:
             dark = next(iter(self.capture.frames_of("dark")), None)

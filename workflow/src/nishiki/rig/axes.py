@@ -20,6 +20,7 @@ from pydantic import Field, model_validator
 from nishiki.artifacts.closed import Closed
 from nishiki.rig.device import (
     ANSWER_S,
+    GREETING_S,
     MOVE_S,
     POLL_S,
     Baud,
@@ -87,7 +88,7 @@ class Grbl:
         self.alarmed = False
         with closed_on_failure(self.line):
             # Most boards restart when their port is opened; one that is reached by USB itself does not.
-            greeting = self.line.greeting(GREETING, ANSWER_S) or self._restart()
+            greeting = self.line.greeting(GREETING, GREETING_S) or self._restart()
             if re.search(TOO_OLD, greeting):
                 raise self._failure(f"expected GRBL 1.1 or newer, found {greeting!r}. Remedy: install GRBL 1.1")
 
@@ -135,10 +136,10 @@ class Grbl:
         """Reset the controller and return its greeting."""
         self.line.discard()  # after some alarms it restarts by itself, and its greeting is still to be read
         self.line.send(RESET, ending=False)
-        greeting = self.line.greeting(GREETING, ANSWER_S)
+        greeting = self.line.greeting(GREETING, GREETING_S)
         if not greeting:
             raise DeviceLost(
-                f"{self.device} at {self.port}: sent Ctrl-X, received no greeting of GRBL within {ANSWER_S:g} s. "
+                f"{self.device} at {self.port}: sent Ctrl-X, received no greeting of GRBL within {GREETING_S:g} s. "
                 f"Remedy: check its power, and the port and speed ({self.line.baud} baud) with ./nishiki rig ports"
             )
         self.home_position, self.alarmed = {}, False

@@ -17,6 +17,7 @@ from nishiki.formats.problems import CaptureError
 from nishiki.rig.axes import expect_in_range, not_homed
 from nishiki.rig.device import (
     ANSWER_S,
+    GREETING_S,
     Baud,
     DeviceError,
     Pause,
@@ -65,7 +66,7 @@ class Line(Closed):
     baud: Baud = Field(115200, description="bits per second")
     ending: str = Field("\n", min_length=1, description="what ends a line, in both directions")
     greeting: str = Field("", description="text that the device sends when it starts; empty: it sends none")
-    greeting_s: Seconds = Field(ANSWER_S, description="seconds to wait for the greeting after the port was opened")
+    greeting_s: Seconds = Field(GREETING_S, description="seconds to wait for the greeting after the port was opened")
 
 
 class DescribedLamps(Line):
@@ -170,7 +171,7 @@ class BracketDome(HomeMadeLamps):
         described = DescribedLamps(
             **settings.model_dump(exclude={"kind"}),
             greeting="RTI-Dome in",
-            greeting_s=ANSWER_S,
+            greeting_s=GREETING_S,
             light=Exchange(send="<3,{lamp}>", expect="Single LED turned on, number: {lamp},", **shared),
             dark=Exchange(send="<0>", expect="All lights turned off", **shared),
         )

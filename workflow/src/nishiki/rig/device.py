@@ -217,10 +217,14 @@ def expect_state(name: str, state: str, states: tuple[str, ...]) -> None:
 
 LONGEST_LINE = 4096
 """Bytes without an end of line above which input is noise: no device here sends so long a line."""
+WRITE_S = 2.0
+"""Seconds that a port may take to accept a line."""
 POLL_S = 0.05
 """Seconds between two looks whether something has moved or arrived."""
+GREETING_S = 3.0
+"""Seconds that an Arduino needs to start after its port was opened."""
 ANSWER_S = 5.0
-"""Seconds that a device may take to start, to accept a line, or to answer one that moves nothing."""
+"""Seconds that a device may take to answer a line that moves nothing."""
 MOVE_S = 180.0
 """Seconds that homing, a whole turn at the slowest speed, or any other movement may take."""
 DELIVERY_S = 60.0
@@ -261,7 +265,7 @@ class SerialLine:
         self.sent = ""
         serial = optional("pyserial")
         try:
-            self.serial = serial.Serial(port, baud, timeout=0, write_timeout=ANSWER_S, exclusive=True)
+            self.serial = serial.Serial(port, baud, timeout=0, write_timeout=WRITE_S, exclusive=True)
         except ValueError as error:
             raise DeviceError(f"{device}: {port} at {baud} baud: {error}. Remedy: correct the description") from None
         except Exception as error:  # SerialException, or termios.error, which is no OSError

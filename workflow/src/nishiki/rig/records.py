@@ -21,7 +21,7 @@ import numpy as np
 from nishiki.capture.folder import examine
 from nishiki.capture.frames import ANGLE_COLUMNS
 from nishiki.capture.schema import FORMAT, CameraResponse
-from nishiki.capture.taking import EXPOSURE_STEP, channel_names, choose_encoding, lights_text, settings_text, table_text
+from nishiki.capture.taking import channel_names, choose_encoding, lights_text, settings_text, table_text
 from nishiki.colour.colour import decode
 from nishiki.errors import UserError
 from nishiki.formats.files import flush, name_fault, put_file
@@ -34,6 +34,7 @@ from nishiki.rig.plan import GEOMETRIES, DomePlan, ReadPlan, TurntablePlan, fram
 SIDE_PX = 1024  # of the pixels that are measured, of the window whose sharpness is, and of the copy that is shown
 NO_LIGHT = 0.002  # of full scale, above the black level
 DARK_LEVEL = 0.05  # of full scale: a dark frame above saw light
+EXPOSURE_TOLERANCE = 0.15  # relative: EXIF rounds to the steps of the camera's dial
 
 
 @dataclass(frozen=True)
@@ -141,7 +142,7 @@ class Neighbours:
         wanted = next((_size(one.measures) for one in known.values()), size)
         if size != wanted:
             reasons.append(f"expected {wanted} as the first frame, found {size}: set the camera as it was")
-        if exposure_s and measures.exposure_s and abs(measures.exposure_s / exposure_s - 1) > EXPOSURE_STEP:
+        if exposure_s and measures.exposure_s and abs(measures.exposure_s / exposure_s - 1) > EXPOSURE_TOLERANCE:
             found = f"EXIF tells an exposure of {measures.exposure_s:g} s, not {exposure_s:g} s"
             reasons.append(f"{found}: set the camera to M")
         if frame.group == "dark":

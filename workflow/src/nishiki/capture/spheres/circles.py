@@ -32,8 +32,11 @@ RIVAL = 0.7  # of the best support: of one ball alone, the outermost circle with
 AS_GOOD = 1.15  # residual relative to the least, up to which circles explain the scene as well, and edges rank them
 LARGEST = 7.0  # radius of a ball relative to that of the circle around its highlights
 LEAST_RADIUS_PX = 10.0
+LEAST_AREA_PX = 100  # of a sphere in a mask
+OUTSIDE = 0.1  # share of the highlights that may lie outside of a circle
 CROP_SIDE = 440.0  # pixels of a crop in which circles are proposed
 COARSE_PX = 20.0  # radius of a cluster on the reduced photographs below which circles are proposed on the whole ones
+FINE_PX = 4.0  # radius of a cluster on the reduced photographs below which these show no circle
 CROP_REACH = 4.0  # of such a crop, in radii of the cluster
 AGREEMENT = np.radians(8.0)  # up to which directions from two circles belong to two balls
 CLEAR = 0.7  # support of a circle that is not moved
@@ -73,13 +76,13 @@ def locate_given(given: SphereInput, findings: Findings) -> list[Circle]:
         count, _, parts, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8))
         circles = [
             Circle(x + (w - 1) / 2, y + (h - 1) / 2, (w + h) / 4, 1.0)
-            for x, y, w, h, _ in parts[1:count]
-            if (w + h) / 4 >= LEAST_RADIUS_PX
+            for x, y, w, h, area in parts[1:count]
+            if area > LEAST_AREA_PX
         ]
         if not circles:
             raise UserError(
-                f"{given.mask}: expected spheres, areas that are not zero, of a radius of at least "
-                f"{LEAST_RADIUS_PX:g} pixels, found none. Remedy: paint the spheres white on black"
+                f"{given.mask}: expected spheres as areas of more than {LEAST_AREA_PX} pixels that are not zero, found "
+                "none. Remedy: paint the spheres white on black"
             )
         return sorted(circles)
     seeds = [Circle(column, row, radius, 0.0) for row, column, radius in given.seeds]
@@ -159,9 +162,10 @@ def search_circles(given: SphereInput, overview: Overview, findings: Findings) -
             crop, stack = fine[id(cluster)]
             circles = _propose(stack, corner_of(crop), inner, (radii[0], CROP_REACH * cluster.radius), 1.0)
             radii = (CROP_REACH * cluster.radius, radii[1])
-        centre = (cluster.centre + 0.5) / overview.factor - 0.5
-        crop = crop_around((*centre, LARGEST * cluster.radius / overview.factor / 1.5), overview.stack.shape[1:])
-        circles += _propose(overview.stack[(slice(None), *crop)], corner_of(crop), inner, radii, overview.factor)
+        if cluster.radius / overview.factor > FINE_PX:
+            centre = (cluster.centre + 0.5) / overview.factor - 0.5
+            crop = crop_around((*centre, LARGEST * cluster.radius / overview.factor / 1.5), overview.stack.shape[1:])
+            circles += _propose(overview.stack[(slice(None), *crop)], corner_of(crop), inner, radii, overview.factor)
         if good := [c for c in circles if c.support >= LEAST_SUPPORT and c.radius >= LEAST_RADIUS_PX]:
             left |= _unexplained_shares(cluster, good, overview, findings.camera)
             least = AS_GOOD * min(left[circle] for circle in good)
@@ -256,8 +260,11 @@ def _unexplained_shares(
         return shares
     for circle in circles:
         away = np.hypot(*(places - circle[:2]).T)
-        inside = np.asarray(circle[:2]) + (places - circle[:2]) * np.minimum(1, 0.999 * circle.radius / away)[:, None]
-        shares[circle] = residual_of(light, reflected_rays(inside, np.array(circle[:3]), camera, 1.0)[1])
+        if (away >= circle.radius).mean() <= OUTSIDE:
+            inside = (
+                np.asarray(circle[:2]) + (places - circle[:2]) * np.minimum(1, 0.999 * circle.radius / away)[:, None]
+            )
+            shares[circle] = residual_of(light, reflected_rays(inside, np.array(circle[:3]), camera, 1.0)[1])
     return shares
 
 

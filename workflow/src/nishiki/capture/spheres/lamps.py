@@ -261,7 +261,8 @@ def _centred(values: np.ndarray) -> np.ndarray:
 
 LENSES = (None, 12.0, 8.0, 6.0, 4.5, 3.5, 2.8, 2.2, 1.8, 1.5, 1.25, 1.0, 0.8)
 """Candidate focal lengths, in longer sides of the photograph; None: an orthographic camera."""
-LEVEL_DEG = 2.5  # tilt of a level scene: .2 to 1.3 under sound balls, 3 to 6 where normals were off by 3 to 5
+LEVEL_DEG = 5.0  # tilt of a scene up to which it is taken to be level
+LEVEL_SIGMA_DEG = 2.0  # by which a scene that is level on average may be tilted
 BEYOND = 1.1  # radii of a ball that are no part of the scene
 USUAL_LENS = 2.0  # longer sides: the focal length whose obliqueness is the error where none is known
 FILM_DIAGONAL_MM = 43.27
@@ -349,7 +350,7 @@ def estimate_lens(
     level = {lens: scene.tilt_deg for lens, scene in scenes.items() if scene is not None and scene.agrees}
     if level and min(level.values()) < LEVEL_DEG:
         best = min(level, key=lambda lens: level[lens])
-        return best, np.full(lamps, np.radians(LEVEL_DEG))
+        return best, np.full(lamps, np.radians(LEVEL_SIGMA_DEG))
     return None, _angles(trials[None][0], directions_under(USUAL_LENS)[0])
 
 

@@ -18,7 +18,6 @@ from nishiki.capture.lights import light_name, lights_from_vectors
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.spheres.circles import locate_given, search_circles
 from nishiki.capture.spheres.lamps import (
-    LEVEL_DEG,
     Falloff,
     LampFit,
     Sighting,
@@ -29,10 +28,11 @@ from nishiki.capture.spheres.lamps import (
     refit_under,
     scale_radii,
 )
-from nishiki.capture.spheres.optics import INSIDE, LEAST_PEAK, SphereCamera, find_highlight
+from nishiki.capture.spheres.optics import INSIDE, SphereCamera, find_highlight
 from nishiki.capture.spheres.outline import Circle, fit_outline
 from nishiki.capture.spheres.search import (
     LEAST_LAMPS,
+    LEAST_PEAK,
     LEAST_SHARE,
     Findings,
     SceneFit,
@@ -49,16 +49,16 @@ from nishiki.capture.spheres.search import (
     read_overview,
     subtract_surroundings,
 )
-from nishiki.capture.taking import full_scale_of, read_grey
+from nishiki.capture.taking import SATURATED, full_scale_of, read_grey
 from nishiki.errors import UserError
-from nishiki.formats.coding import SATURATED
-from nishiki.formats.images import COARSE, read_header
+from nishiki.formats.images import read_header
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
 
 DOUBLED = 0.35  # light of the second highlight relative to the first, from which it is doubtful which is the lamp
 AREA_RANGE = 2.8  # a highlight this many times larger or smaller than the others is doubtful
 POSITION_SHARE = 0.05  # relative uncertainty of a distance up to which positions are written
+BOARD_BLOCKS = 12  # along the longer side of the board's photographs
 AGREEMENT_SIGMAS = 4.0  # standard deviations
 
 
@@ -257,7 +257,7 @@ def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], li
 def _falloff(given: SphereInput, camera: SphereCamera, seen: list[int]) -> Falloff:
     """Compute the logarithm of the light on blocks of the board, under the measured lamps."""
     top = SATURATED * full_scale_of(given.board[0])
-    side = max(1, max(camera.rows, camera.columns) // COARSE)
+    side = max(1, max(camera.rows, camera.columns) // BOARD_BLOCKS)
     rows, columns = camera.rows // side, camera.columns // side
     values = []
     for path in (given.board[i] for i in seen):
@@ -317,6 +317,8 @@ def _fit_warnings(fit: LampFit, names: list[str], near: bool, given: SphereInput
 MASK = "mask.png"
 MOST_SIGMA_DEG = 10.0  # median uncertainty of the directions up to which lamps are believed
 MOST_TILT_DEG = 35.0  # of the scene under the lamps; near lamps tilt it, too
+MOST_LEVEL_DEG = 2.5  # tilt of a level scene: .2 to 1.3 under sound balls, 3 to 6 where normals were off by 3 to 5
+LEAST_Z = 0.02  # of a direction: lamps below graze the object
 
 
 def find_photographs(source: Path, options: ConvertOptions) -> list[Path] | None:
@@ -353,7 +355,7 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
     files = {MIRROR_BALLS: _png(draw_findings(measured.findings)[..., ::-1])}
     if mask is None:
         files[MASK] = _png(255 * find_free_pixels(measured.findings, whole=True).astype(np.uint8))
-    ahead = [i for i, towards in enumerate(measured.fit.directions) if towards[2] > 0]
+    ahead = [i for i, towards in enumerate(measured.fit.directions) if towards[2] > LEAST_Z]
     for name in (name for i, name in enumerate(measured.names) if i not in ahead):
         measured.findings.left_out[name] = "its lamp stands in or behind the object's plane"
     names = [measured.names[i] for i in ahead]
@@ -398,7 +400,7 @@ def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: in
             remedy=f"Look at {MIRROR_BALLS} in the capture: green outlines must lie on balls, red crosses on lights",
         )
     ]
-    if measured.scene is not None and measured.scene.tilt_deg > LEVEL_DEG:
+    if measured.scene is not None and measured.scene.tilt_deg > MOST_LEVEL_DEG:
         what = "the scene is tilted under the lamps measured on the balls: unless it is, they are off by that angle"
         said = f"{measured.scene.tilt_deg:.0f} degrees"
         remedy = "Photograph again with the balls on black cloth, well inside the picture, or give --lights FILE"

@@ -17,8 +17,8 @@ import numpy as np
 INSIDE = 0.97  # of the radius: highlights beyond are cut off by the outline
 LEVELS = (0.5, 0.75)  # of a highlight's peak, above which it counts; the distance of both centroids is its asymmetry
 ABOVE_HORIZON = 0.8  # of the radius: what lies further out is the ground, unless the camera is near
+LEAST_ABOVE = 0.15  # of the largest highlight's light
 STRICT_LEVELS = (0.9, 0.95)  # the same where the photograph also shows what else the sphere reflects
-LEAST_PEAK = 0.15  # of the strongest highlight, peak or edge of its kind, below which there is none
 FINE_SIDE = 24.0  # samples across a highlight: smaller ones are interpolated before a level cuts them
 LEAST_SIGMA_PX = 0.05  # of a centroid: pixels are samples
 
@@ -172,7 +172,7 @@ def find_highlight(
     light[0] = 0
     # Towards the rim a ball shows the ground, which may mirror the lamp once more.
     away = np.bincount(labels.ravel(), weights=from_middle.ravel(), minlength=count) / np.bincount(labels.ravel())
-    above = (away < ABOVE_HORIZON * radius) & (light > LEAST_PEAK * light.max())
+    above = (away < ABOVE_HORIZON * radius) & (light > LEAST_ABOVE * light.max())
     light = np.where(above, light, 0) if above.any() else light
     first = int(np.argmax(light))
     chosen = labels == first

@@ -6,12 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nishiki.capture.spheres.optics import LEAST_PEAK, SphereCamera, circle_of, outline_points
+from nishiki.capture.spheres.optics import SphereCamera, circle_of, outline_points
 
 ANGLES = 360  # directions from the seed's centre in which an edge is looked for
 ALONG = 16  # directions over which profiles are smoothed on either side
 STEP_PX = 1 / 3  # along a ray
+LEAST_RISE = 0.15  # of the strongest change along a ray, from which a brightening is an edge
 GROWTH_PX, MOVE_PX = (0.0, 2.0, 0.2), (-0.5, 0.6, 0.25)  # of the rim beyond the strongest edges: first, last, step
+LEAST_GROWTH_PX = 0.05  # below which the strongest edges are those of the rim
 LEAST_ABSOLUTE = 8  # fits of least absolute distances, before as many of least squares
 NEAR_PX, TURNS = 0.6, 4  # of the rim: edges that are fitted, and how often
 SECTORS = 12  # of the outline, left out one after the other for its uncertainty
@@ -90,11 +92,11 @@ def fit_outline(stack: np.ndarray, seed: Sequence[float], camera: SphereCamera, 
         circle[:2] -= corner
     grid, strength, rising = _edge_strengths(stack, circle, 2 * reach)
     peak, part = _peaks(rising)
-    peak &= rising > LEAST_PEAK * strength.max(axis=1, keepdims=True)
+    peak &= rising > LEAST_RISE * strength.max(axis=1, keepdims=True)
     for turn in range(TURNS):
         away = _distances(grid.reshape(-1, 2) + corner, parameters, camera).reshape(peak.shape)
         rim = np.zeros(ANGLES) if turn else _seek_rim(away, peak)
-        if turn == 0 and np.isclose(rim.mean(), 0):  # the strongest edges are those of the rim
+        if turn == 0 and rim.mean() < LEAST_GROWTH_PX:
             break
         away = np.where(peak, np.abs(away + STEP_PX * part - rim[:, None]), np.inf)
         near, at = away.min(axis=1) < NEAR_PX, away.argmin(axis=1)

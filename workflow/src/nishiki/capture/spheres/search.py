@@ -13,12 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.spheres.optics import LEAST_PEAK, Highlight, SphereCamera, outline_points
+from nishiki.capture.spheres.optics import Highlight, SphereCamera, outline_points
 from nishiki.capture.spheres.outline import Circle, Outline
-from nishiki.capture.taking import channel_names, full_scale_of, read_grey
+from nishiki.capture.taking import SATURATED, channel_names, full_scale_of, read_grey
 from nishiki.errors import UserError
-from nishiki.formats.coding import SATURATED
-from nishiki.formats.images import SEARCH_SIDE, read_codes, read_header
+from nishiki.formats.images import read_codes, read_header
 from nishiki.threads import in_threads
 
 MARGIN = 1.65  # of the radius: half the side of the crop around a sphere
@@ -173,8 +172,10 @@ def display_codes(light: np.ndarray) -> np.ndarray:
     return np.repeat((255 * np.sqrt(np.clip(light / top, 0, 1))).astype(np.uint8)[..., None], 3, axis=2)
 
 
+SEARCH_SIDE = 1200.0  # pixels of the longer side of the reduced photographs, and of the picture on the page
 SEARCH_PIXELS = 6e7  # of all reduced photographs together, which bounds the memory
 LIT_SHARE = 0.2  # of the photographs that may be bright at a pixel of a mirror
+LEAST_PEAK = 0.15  # of the brightest moving highlight, and of the median peak on a ball: below there is none
 LEAST_SHARE = 0.5  # of the photographs that must have a highlight on a ball, and a lamp that is measured
 BLUR = 0.7  # pixels; below, noise of single pixels makes highlights
 
@@ -299,9 +300,11 @@ def _gather(found: list[np.ndarray], score: float, centre: np.ndarray, radius: f
 
 BLOCK = 8  # pixels of the side of a block
 LEAST_BLOCKS = 40  # of the picture
-SHADOW = 0.1  # of the bright blocks, and of a block's brightest photograph: below, light may be that of shadows
+DARK = 0.05  # of the bright blocks: darker ones tell nothing
+SHADOW = 0.1  # of a block's brightest photograph: below it may lie in shadow
 TRIALS = 59  # orders of the lamps that are tried
 MOST_RESIDUAL = 0.3  # relative
+MOST_CHANCE = 0.05  # probability
 LEAST_Z = 0.2  # of normals whose slopes count
 
 
@@ -317,7 +320,7 @@ class SceneFit:
     @property
     def agrees(self) -> bool:
         """Return whether the lamps explain the scene, and no other order of them does so."""
-        return self.residual < MOST_RESIDUAL and self.by_chance == 0
+        return self.residual < MOST_RESIDUAL and self.by_chance < MOST_CHANCE
 
 
 def bright_blocks(stack: np.ndarray, free: np.ndarray) -> np.ndarray | None:
@@ -333,7 +336,7 @@ def bright_blocks(stack: np.ndarray, free: np.ndarray) -> np.ndarray | None:
     light = split(stack).mean(axis=(2, 4))[:, np.all(split(free), axis=(2, 4))[0]]
     brightest = light.max(axis=0) if light.size else np.zeros(0)
     if len(brightest) >= LEAST_BLOCKS:
-        light = light[:, (brightest > SHADOW * np.percentile(brightest, 99)) & (brightest < SATURATED)]
+        light = light[:, (brightest > DARK * np.percentile(brightest, 99)) & (brightest < SATURATED)]
     return light if light.shape[1] >= LEAST_BLOCKS else None
 
 
