@@ -3,9 +3,9 @@
 import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile
-from nishiki.model_selection.decision import LEAST_GAIN
 from nishiki.model_selection.relighting import (
     ERRORS,
+    MARGIN,
     Fitted,
     Sampled,
     choose_model,
@@ -113,8 +113,8 @@ def test_the_margin_and_the_scatter_of_the_lamps():
     plain = np.full(20, 2.0)
     one_lamp = plain - np.eye(20)[0] * 10
     for directional, model in (
-        (plain * (1 - 1.2 * LEAST_GAIN), "directional"),
-        (plain * (1 - 0.8 * LEAST_GAIN), "plain"),
+        (plain * (1 - 1.2 * MARGIN), "directional"),
+        (plain * (1 - 0.8 * MARGIN), "plain"),
         (one_lamp, "plain"),
     ):
         assert choose_model({"plain": plain, "directional": directional})[0] == model

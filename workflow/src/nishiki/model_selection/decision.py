@@ -5,8 +5,6 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-LEAST_GAIN = 0.02  # share of the error of what was left out that further parameters have to take off
-
 
 @dataclass(frozen=True)
 class Decision:
@@ -65,7 +63,7 @@ def decide_gloss(finishes: Sequence[dict], kept: np.ndarray, setting: str) -> De
     return Decision("specular", words, criterion, gain, None if gain is None else 0.0, loss, "brdf.specular: keep")
 
 
-LIMIT_DB = 0.1  # by which a lobe has to bring unseen observations nearer, or a sample to surpass a target
+LIMIT_DB = 0.1  # by which a lobe has to bring unseen observations nearer
 SIGMAS = tuple(np.geomspace(0.03, 0.8, 9))  # radians
 FOLDS = 3  # of cross-validation
 FEWEST_TEXELS = 30  # texels below which nothing is said

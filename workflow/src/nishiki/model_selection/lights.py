@@ -10,7 +10,7 @@ from nishiki.model_selection.decision import Decision
 from nishiki.observations.plane import Observations, sample
 from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.photometric.light_selection import select_diffuse
-from nishiki.photometric.solve import NEAR_DEG, NormalField, estimate_normals
+from nishiki.photometric.solve import NormalField, estimate_normals
 
 
 def spread_order(directions: np.ndarray) -> np.ndarray:
@@ -44,6 +44,7 @@ def _squares(directions: np.ndarray, point: np.ndarray) -> np.ndarray:
     return np.round(np.sum((directions - point) ** 2, axis=1), 12)
 
 
+LIMIT_DEG = 0.2  # by which half of the normals may move
 WORTH = 30_000_000  # samples (lights x pixels) from which the choice costs less than the lights that it saves
 FEWEST = 32
 """Least number of lights: up to 24 the joint fit begins, and selection needs samples beside gloss and shadow."""
@@ -110,13 +111,13 @@ def measured_choice(
     number, most = FEWEST, count
     while number < most:  # the fewest whose predicted addition is within the limit
         middle = (number + most) // 2
-        within = added_deg(order[:middle], samples, full) <= NEAR_DEG
+        within = added_deg(order[:middle], samples, full) <= LIMIT_DEG
         number, most = (number, middle) if within else (middle + 1, most)
     predicted = added_deg(order[:number], samples, full)
     moved = np.inf
     while number < count:
         moved = moved_deg(np.sort(order[:number]), samples, full, solve)
-        if moved <= NEAR_DEG:
+        if moved <= LIMIT_DEG:
             break
         number = min(count, number + -(-number // 4))
     saved = number < count
@@ -131,7 +132,7 @@ def measured_choice(
         f"{number} of {count} lights" + ", evenly spread" * saved,
         "median angle to the normals of all lights on a sample, degrees",
         float(moved),
-        NEAR_DEG,
+        LIMIT_DEG,
         loss,
         OVERRIDE,
     )

@@ -24,12 +24,15 @@ from nishiki.brdf.gloss_profile import (
 from nishiki.errors import require
 from nishiki.evaluate.camera_colour import assumed_colour
 from nishiki.evaluate.relighting import difference_of
-from nishiki.model_selection.decision import LEAST_GAIN, Decision
+from nishiki.model_selection.decision import Decision
 from nishiki.observations.plane import Parcel
-from nishiki.photometric.flags import FEWEST_LIGHTS, FOLDS, NO_ESTIMATE
+from nishiki.photometric.flags import NO_ESTIMATE
 from nishiki.photometric.gloss import LARGEST_SIGMA
 
-ERRORS = 3.0  # standard errors of a gain over the lamps: one lamp of a wrong strength outweighs nine others
+FOLDS = 5  # of cross-validation, over lamps
+FEWEST = 8  # lights: with fewer, what the rest of them says differs too much from what all of them say
+MARGIN = 0.05  # part of the plain model's error that the directional terms must take off
+ERRORS = 3.0  # and standard errors of that gain over the lamps: one lamp of a wrong strength outweighs nine others
 BESIDE = 0.5  # of the distance to the nearest other lamp: one nearer to the hull of the others is not extrapolated
 SURE = 1e3  # weight with which shares of the others sum to one
 DARKEST = float(np.finfo(np.float32).tiny)  # median sample: a black scene has no level
@@ -96,7 +99,7 @@ def choose_model(errors: dict[str, np.ndarray]) -> tuple[str, Decision]:
     plain, directional = errors["plain"], errors["directional"]
     gains = plain - directional
     gain, deviation = gains.mean(), gains.std(ddof=1) / np.sqrt(gains.size)
-    limit = max(LEAST_GAIN * plain.mean(), ERRORS * deviation)
+    limit = max(MARGIN * plain.mean(), ERRORS * deviation)
     model = "directional" if gain > limit else "plain"
     decision = Decision(
         "relighting",
@@ -146,7 +149,7 @@ def left_out_errors(
 
 
 def interpolated(directions: np.ndarray) -> np.ndarray:
-    """Select the lights (n, 3) that those of other folds surround, or nearly; all where few are."""
+    """Select the lights (n, 3) that those of other folds surround, or nearly; all if fewer than FEWEST / 2 are."""
     from scipy.optimize import nnls
 
     fold, near = np.arange(len(directions)) % FOLDS, np.zeros(len(directions), bool)
@@ -155,7 +158,7 @@ def interpolated(directions: np.ndarray) -> np.ndarray:
         others = corners[fold != fold[light]]
         apart = np.linalg.norm(nnls(others.T, place)[0] @ others - place)
         near[light] = apart <= BESIDE * np.linalg.norm(others - place, axis=1).min()
-    return near | (near.sum() < FEWEST_LIGHTS / 2)
+    return near | (near.sum() < FEWEST / 2)
 
 
 def remaining_gloss(pieces: Sequence[Sampled], candidates: Sequence[Fitted]) -> GlossProfile:
@@ -185,6 +188,9 @@ def colour_differences(first: np.ndarray, second: np.ndarray, compared: np.ndarr
     for one, other, where, values in zip(first, second, compared, differences, strict=True):
         difference_of(one, other, colour.matrix, colour.white, where.astype(np.uint8), values)
     return differences
+
+
+LEAST_GAIN = 0.02  # part of the error of left-out lamps that a finish more has to take off
 
 
 def joint_fit_counts(errors: dict[str, np.ndarray]) -> bool:

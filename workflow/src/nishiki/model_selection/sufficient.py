@@ -9,7 +9,7 @@ from nishiki.errors import UserError, require
 from nishiki.goniometry.directions import disc, reduced
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import ReflectanceSet
-from nishiki.model_selection.decision import LIMIT_DB, Decision
+from nishiki.model_selection.decision import Decision
 from nishiki.model_selection.lights import spread_order
 
 LOSS = 0.002  # of the expected error: with ordinary cameras the measured paints ask for no less (docs/notes/economy.md)
@@ -92,6 +92,7 @@ def _first(counts: tuple[int, ...], losses: tuple[float, ...], limit: float) -> 
 
 
 LIMIT = 0.1  # share of what is left that its neighbours tell
+MARGIN_DB = 0.2  # a sample of tiles is not the object
 REACH = 2.0  # texels to a neighbour
 NEIGHBOURS = 16  # texels that predict one
 MOST_PIXELS = 4000  # pixels of a tile that are looked at
@@ -162,7 +163,7 @@ def model_suffices(left: Left, target: str, amount: float, *, limit: float = LIM
     if left.pixels == 0:
         return False
     if target == "psnr":
-        return left.psnr_db >= amount + LIMIT_DB
+        return left.psnr_db >= amount + MARGIN_DB
     return left.structure <= limit
 
 

@@ -16,15 +16,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.model_selection.decision import LEAST_GAIN
 from nishiki.mosaic.registration import Field, Overlap, fit_similarity
-from nishiki.photometric.flags import FOLDS, ROUNDS
 
 LENSES = {"none": (), "k1": (0,), "k1, k2": (0, 1), "k1, tilt": (0, 2, 3), "k1, k2, tilt": (0, 1, 2, 3)}
+LEAST_GAIN = 0.05  # of the error of matches or overlaps left out, for a lens or levels with more terms
+FOLDS = 4
 # standard deviations expected of k_1, k_2 and t: where fields form a line, they are free
 PRIOR = (0.05, 0.05, 0.01, 0.01)
 SCALE_PRIOR = 0.01  # likewise of a field's scale and turn, against drift along a chain of fields
 GAUGE = 1e5  # weight of the sum of all turns, and of all scales' logarithms
+ROUNDS = 16
 WRONG = 0.5, 2.0  # residual of a wrong overlap: pixels, and relative to that of a similarity of its own
 
 

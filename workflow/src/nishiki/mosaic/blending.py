@@ -18,19 +18,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.model_selection.decision import LEAST_GAIN, Decision
-from nishiki.mosaic.adjustment import Placement
-from nishiki.photometric.flags import NO_ESTIMATE, ROUNDS, NormalFlag
+from nishiki.model_selection.decision import Decision
+from nishiki.mosaic.adjustment import LEAST_GAIN, Placement
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 
-LEAST = 1e-3  # z of a normal, reflectance, and sigma in radians: a field that claims less counts no more
+LEAST_NZ = 1e-3  # of a normal that is tilted
+LEAST_REFLECTANCE = 1e-3  # in logarithms: darker places count as this bright
 Reader = Callable[[str, slice], np.ndarray]
 """Reader of values from the name of a map and a slice of its rows."""
 CELL, SQUARE = 32, 8  # pixels: distance between the areas at which fields are compared, and the areas' side
 NODES = 16  # pixels between places that are computed
 CELLS = 8  # rows of these areas that are compared at a time
+LEAST_SIGMA = 1e-3  # radians: a field that claims less counts no more
 NORMALS = ("normals", "shading_normals")
 COLOURS = ("reflectance", "albedo")
 CHOICES = {"none": None, "constant and slope": 2, "with squares": 5}  # terms of w; None: no levels at all
+ROUNDS = 8
 MOST_LEFT_OUT = 12  # overlaps
 GROUP = 25  # neighbouring samples whose median is judged where an overlap was left out
 
@@ -228,7 +231,7 @@ def turn_normals(normals: np.ndarray, turn: float, tilt: np.ndarray | float = 0.
     """
     cosine, sine = np.cos(turn), np.sin(turn)
     x, y = cosine * normals[..., 0] + sine * normals[..., 1], cosine * normals[..., 1] - sine * normals[..., 0]
-    depth = np.maximum(normals[..., 2:], LEAST)
+    depth = np.maximum(normals[..., 2:], LEAST_NZ)
     slopes = np.tan(np.arctan2(np.stack([x, y], axis=-1), depth) - tilt)
     turned = np.concatenate([slopes, np.ones_like(depth)], axis=-1)
     return turned / np.linalg.norm(turned, axis=-1, keepdims=True)
@@ -246,7 +249,7 @@ def compare_fields(placement: Placement, readers: Sequence[Reader]) -> Samples:
             piece = take_piece(placement, i, read, names, here.ravel(), across.ravel())
             if piece is not None:
                 normals = turn_normals(piece.maps["normals"], placement.turn[i])
-                level = np.log(np.maximum(piece.maps["reflectance"], LEAST))
+                level = np.log(np.maximum(piece.maps["reflectance"], LEAST_REFLECTANCE))
                 angles = np.arctan2(normals[..., :2], normals[..., 2:])
                 whole = np.zeros((here.size, across.size, level.shape[2] + 5))
                 whole[:, piece.columns] = np.concatenate([level, angles, piece.place, piece.known[..., None]], axis=-1)
@@ -301,7 +304,7 @@ def blend_band(
         for name in NORMALS:
             if name in maps:
                 maps[name] = turn_normals(maps[name], placement.turn[i], level[..., -2:])
-        weight = np.where(piece.known, piece.depth / np.square(np.maximum(maps["sigma"], LEAST)), 0)
+        weight = np.where(piece.known, piece.depth / np.square(np.maximum(maps["sigma"], LEAST_SIGMA)), 0)
         weight = weight.astype(np.float32)
         here = np.s_[:, piece.columns]
         square[here] += weight * np.square(maps["sigma"])

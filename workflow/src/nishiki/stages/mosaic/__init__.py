@@ -52,7 +52,7 @@ LIMITS = (
 )
 
 
-class MosaicSettings(Guarded, stage="mosaic", version=2, limits=LIMITS):
+class MosaicSettings(Guarded, stage="mosaic", version=3, limits=LIMITS):
     """Fields of a painting to one set of maps."""
 
     positions_mm: dict[str, tuple[float, float] | None] = Field(

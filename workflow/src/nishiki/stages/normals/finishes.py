@@ -12,7 +12,7 @@ from nishiki.artifacts.maps import Maps
 from nishiki.model_selection.decision import Decision
 from nishiki.observations.plane import STRIDE, Observations, Parcel, parcels, sample
 from nishiki.photometric.expected_error import LARGEST_SIGMA
-from nishiki.photometric.flags import FEW_LIGHTS, FEWEST_LIGHTS
+from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.photometric.light_selection import unpack_lights
 from nishiki.photometric.relighting import MODELS
 from nishiki.stages.normals import NormalsSettings
@@ -94,7 +94,7 @@ def choose_finishes(
     Captured lamps that are left out in turn decide how many there are, how normals are fitted on each, and which model
     predicts lamps, where the settings leave it open. Regions of the capture are finishes without a question.
     """
-    from nishiki.model_selection.relighting import choose_model, interpolated
+    from nishiki.model_selection.relighting import FEWEST, choose_model, interpolated
 
     models = () if settings.solver == "least_squares" else MODELS
     looked_for = settings.refine == "gloss" or (settings.refine == "auto" and len(lights) <= FEW_LIGHTS)
@@ -102,7 +102,7 @@ def choose_finishes(
     wanted = SAMPLE_PIXELS if looked_for else RELIGHTING_PIXELS if models and asked else 0
     pieces = sampled_pixels(frames, selection, lights, wanted) if wanted else []
     pieces = [piece for piece in pieces if piece.valid.any()]
-    told = pieces and models and len(lights) >= FEWEST_LIGHTS and settings.refine != "gloss"
+    told = pieces and models and len(lights) >= FEWEST and settings.refine != "gloss"
     step = max(1, sum(piece.valid.shape[2] for piece in pieces) // RELIGHTING_PIXELS)
     few = [piece.only(np.s_[::step]) for piece in pieces] if told else []
 
@@ -206,7 +206,7 @@ def predicted_error(parts: Sequence[Finish]) -> float:
 
 def choose_count(tried: Sequence[tuple[Finish, ...]]) -> tuple[tuple[Finish, ...], Decision | None]:
     """Choose the partition that best predicts held-out lamps; one more finish must improve it by LEAST_GAIN."""
-    from nishiki.model_selection.decision import LEAST_GAIN
+    from nishiki.model_selection.relighting import LEAST_GAIN
 
     chosen = tried[0]
     for parts in tried[1:]:

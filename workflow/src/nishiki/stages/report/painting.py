@@ -7,7 +7,6 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.observations.plane import Observations
-from nishiki.photometric.flags import FEWEST_LIGHTS
 from nishiki.report.page import (
     MOST_PICTURES,
     Block,
@@ -286,6 +285,7 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, An
 
 VISIBLE, PLAIN = 2.0, 5.0
 """Colour differences (CIEDE2000) visible to most people, and to everybody."""
+FEW_LAMPS = 8  # that a headline warns of
 
 
 def verdict(
@@ -329,7 +329,7 @@ def verdict(
     width = "measure the width of the photographs on the object (--width-mm)"
     return headline(measured, [
         (not frames.white_board, "no white board: colours and brightness are relative", board),
-        (lamps < FEWEST_LIGHTS, f"{lamps} lamps are few: gloss and shadows are hard to tell apart", more),
+        (lamps < FEW_LAMPS, f"{lamps} lamps are few: gloss and shadows are hard to tell apart", more),
         (guessed, "colours of the camera are a guess", target),
         (not frames.pixel_pitch_mm, "no scale: heights and lengths are in pixels", width),
     ])  # fmt: skip
