@@ -8,7 +8,7 @@ from nishiki.photometric.body import body_intensity, shading_of_mean
 from nishiki.photometric.light_selection import select_diffuse
 from nishiki.photometric.normal_kernels import PRIOR, WIDTH
 from nishiki.photometric.solve import estimate_normals
-from nishiki.stages.normals.parcel import COUNTS
+from nishiki.stages.normals.parcel import WEIGHTED
 
 DARK_RED = np.array([0.12, 0.015, 0.01])
 
@@ -154,7 +154,7 @@ def test_coloured_pixels_have_the_shading_of_the_mean_and_grey_ones_keep_theirs(
     usable = select_diffuse(mean, lights, valid=valid).usable
     intensity = body_intensity(samples, valid)
     field = estimate_normals(intensity, lights, usable=usable, valid=valid)
-    found = shading_of_mean(intensity, mean, lights, field, usable=usable, valid=valid, least_change=COUNTS)
+    found = shading_of_mean(intensity, mean, lights, field, usable=usable, valid=valid, least_change=WEIGHTED)
     for p in range(75):
         expected = dense_terms(mean[:, 0, p], usable[:, 0, p], lights, field.normals[0, p].astype(np.float64))
         np.testing.assert_allclose(found[0, p], expected, atol=2e-3)

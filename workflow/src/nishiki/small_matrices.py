@@ -10,8 +10,6 @@ from numba import njit
 
 from nishiki.lanes import choose, root
 
-TERMS = 10
-"""Sums of a pixel's normal equations: six products of the direction, three right-hand sides, one more sum."""
 Factors = namedtuple("Factors", "l10 l20 l30 l40 l21 l31 l41 l32 l42 l43 i0 i1 i2 i3 i4 positive")
 """Lower triangle L (unit diagonal) and 1 / D of the L D L^T of a 5 x 5 matrix; positive: whether all D > 0."""
 

@@ -18,7 +18,7 @@ Sources: Trowbridge and Reitz (1975), Average irregularity representation of a r
 import numpy as np
 
 STEEPEST = 0.2  # least n_z from which a slope is formed
-GRAZING = 0.05  # cosine of 87 degrees: no camera or lamp resolves what is steeper, so it counts as this steep
+GRAZING = 0.05  # cosine of 87 degrees to the camera: no surface seen more steeply is resolved
 
 
 def slopes_of(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

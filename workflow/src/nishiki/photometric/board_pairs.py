@@ -28,11 +28,11 @@ from nishiki.photometric.consistency import (
     is_even,
     law_errors,
 )
-from nishiki.photometric.flags import ROUNDS
 from nishiki.photometric.lambert_fit import (
     FEWEST_LAMPS,
     GRAZING,
     KINK,
+    ROUNDS,
     Fit,
     fit_lambert,
     median_of_lights,

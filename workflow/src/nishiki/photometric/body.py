@@ -33,7 +33,6 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.brdf.slopes import GRAZING
 from nishiki.errors import UserError
 from nishiki.lanes import BLOCK
 from nishiki.photometric.flags import NO_ESTIMATE, NOISE, NormalFlag
@@ -263,6 +262,10 @@ def _solve(sums, right, values, chosen, noise):
     return np.stack([a, b, d, mean]), 3 * (scatter + noise * albedo), good
 
 
+COSINE_FLOOR = 0.02
+"""Samples lit at a smaller cosine carry no usable signal and divide by almost nothing: they are left out."""
+
+
 @dataclass(frozen=True)
 class DiffuseReflectance:
     """Diffuse reflectance (rows, columns, channels) float32, perfect white = 1; lights_used (rows, columns) uint16.
@@ -317,14 +320,14 @@ def _fit(begin, end, samples, directions, surface, mean, out):
         for j in range(len(directions)):
             x, y, z = directions[j, 0], directions[j, 1], directions[j, 2]
             body = normals[p, 0] * x + normals[p, 1] * y + normals[p, 2] * z
-            if not (usable[j, p] and body > GRAZING):
+            if not (usable[j, p] and body > COSINE_FLOOR):
                 continue
             if len(terms):
                 half = (body + normals[p, 2]) / np.sqrt(max(np.float32(2) + np.float32(2) * z, np.float32(1e-12)))
                 power = max(half, np.float32(0)) ** 2
                 factor = terms[p, 0] + terms[p, 1] * body + terms[p, 2] * (power * power) ** 2
                 body *= max(factor, np.float32(0))
-                if not body > GRAZING:
+                if not body > COSINE_FLOOR:
                     continue
             factor = one / body if mean else body
             weights += factor * body

@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.slopes import STEEPEST
 from nishiki.photometric.lambert_fit import (
     FEWEST_LAMPS,
     GRAZING,
@@ -29,6 +28,7 @@ from nishiki.photometric.lambert_fit import (
     regress,
     spread_pixels,
 )
+from nishiki.photometric.order_trials import STEEPEST
 
 TURNS = 4  # of measuring the ambient light and fitting what it leaves
 FEWEST_PIXELS = 24  # lit by a lamp: eight for each of the three numbers of its direction

@@ -18,9 +18,6 @@ class NormalFlag(IntEnum):
 NO_ESTIMATE = NormalFlag.TOO_FEW_LIGHTS | NormalFlag.COPLANAR_LIGHTS | NormalFlag.NO_SIGNAL
 """Where a bit of it is set the normal is (0, 0, 1), albedo 0, sigma pi / 2."""
 NOISE = 0.003  # of a photograph of eight bits, relative to the albedo: no smaller disagreement is taken seriously
-FOLDS = 5  # groups of lamps or places that are left out in turn
-ROUNDS = 15  # of reweighting at most; parameters change by less than their errors after ten
-FEWEST_LIGHTS = 8  # with fewer, some say too little of the others, and gloss and shadow are hard to tell apart
 COPLANAR = 1e12  # condition above which double precision cannot tell the normal matrix from a singular one
 FEW_LIGHTS = 24
 """Number of lights up to which the joint fit with gloss and the relighting fit pay; above, selection suffices."""

@@ -20,12 +20,13 @@ import numpy as np
 
 from nishiki.brdf.gloss_profile import GlossProfile, light_table, scattered_lobes, specular_samples
 from nishiki.errors import UserError, require
-from nishiki.photometric.flags import NO_ESTIMATE, ROUNDS, NormalFlag
-from nishiki.photometric.gloss_kernel import SETTLED, refine_pixels
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
+from nishiki.photometric.gloss_kernel import refine_pixels
 from nishiki.threads import over_rows
 
 LARGEST_SIGMA = 0.1  # radians: where the normals are worse the blur is no longer a small one
-PRECISION = np.finfo(float).eps  # of the largest eigenvalue: less is no information
+STEP = 1e-3  # radians, of the differences along the tangents
+SMALLEST = 1e-9  # of the largest eigenvalue: less is no information
 MEASURED = 0.01  # fall of the squared error, relative, from which the lamps tell the transmission from a tilt
 
 
@@ -83,9 +84,9 @@ def _solve(total: np.ndarray, least: float) -> tuple[float, np.ndarray]:
 
     size = np.sqrt(np.maximum(np.diag(total)[:-1], np.finfo(float).tiny))
     values, vectors = np.linalg.eigh(total[:-1, :-1] / size[:, None] / size)
-    root = np.sqrt(np.maximum(values, max(PRECISION * values.max(), np.finfo(float).tiny)))
+    root = np.sqrt(np.maximum(values, max(SMALLEST * values.max(), np.finfo(float).tiny)))
     low, high = np.zeros(size.size), np.full(size.size, np.inf)
-    low[-1], high[-1] = least * size[-1] * (1 - PRECISION), size[-1]
+    low[-1], high[-1] = least * size[-1] * (1 - SMALLEST), size[-1]
     target = vectors.T @ (total[:-1, -1] / size) / root
     found = lsq_linear((vectors * root).T, target, (low, high), method="bvls").x / size
     found = np.append(np.maximum(found[:-1], 0), np.clip(found[-1], 0, 1))
@@ -107,13 +108,13 @@ def equations(tile: GlossTile, fit: "RefinedNormals", gloss: GlossProfile) -> np
 
     body, shine, phi, attenuation = parts(normals, gloss)
     across = np.stack([normals[:, 2], np.zeros(len(normals)), -normals[:, 0]], axis=-1)
-    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), PRECISION)
+    across /= np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), SMALLEST)
     own, lean = [body], 0.0
     for tangent in (across, np.cross(normals, across)):
-        turned = normals + SETTLED * tangent
+        turned = normals + STEP * tangent
         other, mirrored = parts(turned / np.linalg.norm(turned, axis=-1, keepdims=True), gloss)[:2]
-        own.append((other + mirrored - body - shine) / SETTLED)
-        lean = lean + ((mirrored - shine) / SETTLED) ** 2
+        own.append((other + mirrored - body - shine) / STEP)
+        lean = lean + ((mirrored - shine) / STEP) ** 2
     lit = np.where(valid, observed, 0)
     usual = (lit.sum(axis=0) - lit.max(axis=0, initial=0)) / np.maximum(valid.sum(axis=0) - 1, 1)
     variance = (NOISE * gloss.unit) ** 2 / channels + (MODEL_ERROR * usual) ** 2
@@ -130,7 +131,7 @@ def equations(tile: GlossTile, fit: "RefinedNormals", gloss: GlossProfile) -> np
     shared, free = (np.where(used, a, 0).swapaxes(0, 1) for a in (shared, np.stack(own, axis=-1)))
     weighted = free.swapaxes(1, 2) * weight.T[:, None]
     curvature, mixed = weighted @ free, weighted @ shared
-    curvature += (PRECISION * np.trace(curvature, axis1=1, axis2=2) + np.finfo(float).tiny)[:, None, None] * np.eye(3)
+    curvature += (SMALLEST * np.trace(curvature, axis1=1, axis2=2) + np.finfo(float).tiny)[:, None, None] * np.eye(3)
     whole = (shared * weight.T[..., None]).swapaxes(1, 2) @ shared
     return (whole - mixed.swapaxes(1, 2) @ np.linalg.solve(curvature, mixed)).sum(axis=0)
 
@@ -140,6 +141,7 @@ MODEL_ERROR = 0.02  # of the body's shading, relative to the pixel's mean level:
 GLOSS_ERROR = 0.15  # of the predicted gloss, relative
 TILT_ERROR = 0.02  # radians by which the mirroring surface may lean from the normal of the body
 TOLERANCE = 3.0  # standard deviations at which a sample has lost three quarters of its weight
+ITERATIONS = 15  # at most of a pixel
 SECOND_START = 1.0  # robust cost a value above which the normal that mirrors the brightest light is tried too
 
 
@@ -161,7 +163,7 @@ class JointSettings(NamedTuple):
     gloss_error: float = GLOSS_ERROR
     tilt_error: float = TILT_ERROR
     tolerance: float = TOLERANCE
-    iterations: int = ROUNDS  # at most of a pixel
+    iterations: int = ITERATIONS
 
 
 JointFields = namedtuple("JointFields", "normals reflectance scalars lights_used flags cost")

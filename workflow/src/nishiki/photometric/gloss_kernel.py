@@ -20,8 +20,8 @@ import numpy as np
 from numba import njit
 
 from nishiki.brdf.gloss_profile import NODES, NODES_PER_UNIT
-from nishiki.brdf.slopes import GRAZING
-from nishiki.photometric.flags import FOLDS, NO_ESTIMATE, NormalFlag
+from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
+from nishiki.photometric.height import LEAST_NZ
 from nishiki.photometric.lambert_fit import FEWEST_LAMPS
 from nishiki.photometric.normal_kernels import LARGEST
 from nishiki.small_matrices import eigenvalues
@@ -30,7 +30,8 @@ from nishiki.small_matrices import eigenvalues
 LIT, BODY, BODY_S, BODY_T, GLOSS, GLOSS_S, GLOSS_T, VAR_LEVEL, VAR_COLOUR, W_LEVEL, W_COLOUR = range(11)
 ROWS = W_COLOUR + 1
 LARGEST_STEP = 0.3  # radians
-SETTLED = 1e-3  # radians: a turn of the normal that changes nothing, over which the model is linear
+SETTLED = 1e-3  # radians: a turn of the normal that changes nothing
+FOLDS = 5  # groups of lamps that are left out in turn
 NOTHING = np.finfo(np.float64).tiny  # keeps sums of no weight from 0 / 0: weights are inverse squares of radiances
 
 
@@ -228,7 +229,7 @@ def moved(n, t, s, r, out):
     part = LARGEST_STEP / length if length > LARGEST_STEP else 1.0
     s, r = part * s, part * r
     x, y = n[0] + s * t[0] + r * t[3], n[1] + s * t[1] + r * t[4]
-    z = max(n[2] + s * t[2] + r * t[5], GRAZING)
+    z = max(n[2] + s * t[2] + r * t[5], LEAST_NZ)
     scale = 1.0 / np.sqrt(x * x + y * y + z * z)
     out[0], out[1], out[2] = x * scale, y * scale, z * scale
     return length
@@ -398,7 +399,7 @@ def refine_pixels(first, last, observations, valid, scene, settings, fields):
         pixel = Pixel(y, known, rows, rho, floor)
         for i in range(3):
             n[i] = normals[p, i]
-        n[2] = max(n[2], GRAZING)
+        n[2] = max(n[2], LEAST_NZ)
         value, limit = np.inf, settings.second_start * count * channels
         for attempt in range(3):  # the given normal; the one that mirrors the brightest light; back to the better one
             descend(pixel, scene, settings, n, work)

@@ -32,6 +32,7 @@ THIN = 3  # one pixel in so many tells the cells' finishes
 WORTHWHILE = 0.03  # gain of robust cost a value, from which gloss counts as shown
 SIDE = 15  # pixels: of a cell of the picture that has one finish
 FEWEST_CELLS = 4  # of a finish
+MOST_FINISHES = 4
 BRIGHTEST = 1e-3  # share of the samples whose mean is the colour of a metal
 COLOURED = 0.8  # least channel of a metal, relative to its largest: others mirror like a dielectric of no body
 METAL_LEVEL, METAL_WIDTHS = 0.7, slice(5, 8)  # of metals to start from: reflectance, and lobes among WIDTHS
@@ -116,7 +117,7 @@ def find_finishes(
         return [refined(tile, profile) for tile in few]
 
     starts = [[dielectric, other] for other in (nothing, *metals)]
-    while starts:
+    while starts and len(starts[0]) <= MOST_FINISHES:
         tries = [_settle(few, start, cells, fits_of) for start in starts]
         if len(metals) > 1:  # that which fits best beside the gloss of the scene is tried beside more finishes
             metals = [min(tries[1:], key=lambda each: each[2].min(axis=0).mean())[0][1]]

@@ -25,18 +25,17 @@ from pathlib import Path
 import numpy as np
 from numpy.polynomial import legendre
 
-from nishiki.brdf.slopes import GRAZING
 from nishiki.errors import UserError
-from nishiki.photometric.flags import ROUNDS
 from nishiki.photometric.multigrid import BAND_PIXELS, WHOLE_PIXELS, Laplace, RowsOnDisk, divergence, edges, windows
 from nishiki.progress import Summarised
 from nishiki.threads import strips
 
 METHODS = ("auto", "dct", "weighted")
+LEAST_NZ = 0.05  # normals that are steeper (87 degrees) count as this steep: slopes stay finite
 LEAST_WEIGHT = 1e-3  # a steep pixel keeps this much say, so that it stays tied to its neighbours
 NOT_UNIT = 0.02  # of the squared length, as where normals are shaded
 PITCHES = (1e-12, 1e12)  # beyond, heights and their squares leave float32
-SAMPLED_PIXELS = 100_000  # evenly spread, for percentiles and the quadratic surface of `bow`
+BOW_PIXELS = 100_000  # at most, to which the quadratic surface of `bow` is fitted
 
 
 @dataclass(frozen=True, repr=False)
@@ -185,7 +184,7 @@ def integrate_bands(shape, read, write, *, pixel_pitch, method, iterations=(1e-5
             weight[band.core] = weights[band.inner]
         height, steps, residual = Laplace(shape, weight).solve(right, new, *iterations)
         parts, means = level_parts(bands, lambda rows: (height[rows], unit_normals(read, rows)[1]))
-        sums, sample, low, high = np.zeros(4), Sample(count, SAMPLED_PIXELS), np.inf, -np.inf
+        sums, sample, low, high = np.zeros(4), Sample(count, BOW_PIXELS), np.inf, -np.inf
         for band, mean in zip(bands, means, strict=True):
             rows = slice(band.core.start, band.read.stop)  # and the row below
             gradients, valid, _ = slopes(read, rows, dtype, pixel_pitch)
@@ -228,7 +227,7 @@ def slopes(read, rows, dtype, pitch):
     The weight is 0 where a pixel is not valid.
     """
     normals, valid = unit_normals(read, rows)
-    nz = np.maximum(np.where(valid, normals[..., 2], 1), GRAZING).astype(dtype)
+    nz = np.maximum(np.where(valid, normals[..., 2], 1), LEAST_NZ).astype(dtype)
     p = np.where(valid, -normals[..., 0], 0).astype(dtype) / nz
     q = np.where(valid, -normals[..., 1], 0).astype(dtype) / nz  # dz / dy, y up
     half = dtype(0.5 * float(pitch))
@@ -320,6 +319,7 @@ def bow(sample, pitch):
 DEGREE = 3  # of the polynomials of the normals' components: heights of degree 4
 MOST_BLOCKS = 128  # along the longer side: the fit sees the mean normals of this many squares
 FLAT_WITHIN = 0.05  # length of a difference of unit normals (3 degrees) beyond which a square counts less
+ROUNDS = 8  # of reweighting
 
 
 def flatten_normals(shape, read, write):

@@ -26,10 +26,12 @@ from nishiki.threads import strips
 if TYPE_CHECKING:
     from scipy import sparse
 
-ROUNDS = 3  # of finding thrown light, and bounces of it that are predicted
+ROUNDS = 3
+BOUNCES = 8  # of predicted light
 FAINTEST = 1e-5  # form factor below which a facet throws no light worth counting
 SIGHT = np.linspace(0.1, 0.9, 9)  # places between two facets where the surface may stand between them
 CLEARANCE = 0.5  # facets by which it has to, as the heights are those of their centres
+LARGEST = 0.9  # of the light: more is no correction
 DARK = 1e-9  # relative to white
 
 
@@ -74,7 +76,7 @@ class Interreflection:
 
 def taken_off(observations: np.ndarray, shares: np.ndarray) -> np.ndarray:
     """Return observations (lights, ...) without the shares of their sum that are thrown light."""
-    return np.maximum(observations - shares * observations.sum(axis=0), 0)
+    return np.maximum(observations - shares * observations.sum(axis=0), (1 - LARGEST) * observations)
 
 
 def form_factors(normals: np.ndarray, valid: np.ndarray) -> sparse.csr_array:
@@ -162,7 +164,7 @@ def left_out_errors(facets: Facets, found: Interreflection | None, folds: int) -
         cosines = lambert(normals, facets.directions[left])
         radiance = reflectance * cosines
         if found is not None:
-            for _ in range(ROUNDS):
+            for _ in range(BOUNCES):
                 radiance = reflectance * (cosines + thrown(found.factors, radiance, found.known))
         apart = np.abs(radiance - facets.observations[left]).mean(axis=-1)
         compared = facets.valid[left] & known

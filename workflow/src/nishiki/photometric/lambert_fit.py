@@ -25,11 +25,12 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from nishiki.photometric.flags import NOISE, ROUNDS
+from nishiki.photometric.flags import NOISE
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
+ROUNDS = 15  # of reweighting; the gains change by less than their errors after ten
 KINK = 2.0  # robust standard deviations of a pixel's residuals at which the weight of a value is a half (Cauchy)
 GRAZING = 0.1  # cosine below which a lamp's direct light cannot be predicted, and below whose negative there is none
 PATCHES = 8  # a side, over the picture: groups of pixels that count as one observation each

@@ -8,7 +8,7 @@ from numba import njit
 from nishiki.lanes import BLOCK, LANES, choose, load, planes, root, splat, store
 from nishiki.photometric.flags import COPLANAR, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.lobe import choose_samples, descend, make_fit, take_lanes, tangential_variance
-from nishiki.small_matrices import TERMS, eigenvalues, inverse
+from nishiki.small_matrices import eigenvalues, inverse
 
 LEAST_ALBEDO, LARGEST = (float(each) for each in (np.finfo(np.float32).smallest_subnormal, np.finfo(np.float32).max))
 PRIOR = 1e-4  # least weight of b^2 and d^2, times a third of the number of samples (about their sum of c^2)
@@ -17,6 +17,7 @@ WIDTH = 0.25  # standard deviation expected of b and d, relative to the albedo, 
 FARTHEST = np.float32(1e12)  # times the albedo
 LEAST_FACTOR = 0.01  # mean body factor, relative to Lambert's albedo, below which Lambert's law is kept for the shading
 FIRST_ROUNDS, ROUNDS = 4, 3  # Gauss-Newton steps for the samples first chosen, and for those chosen again
+TERMS = 10  # six products of the direction, three of the right-hand side, the sum of squares
 
 
 @njit(cache=True, error_model="numpy")

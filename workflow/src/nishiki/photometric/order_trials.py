@@ -18,7 +18,6 @@ from functools import cached_property
 
 import numpy as np
 
-from nishiki.brdf.slopes import STEEPEST
 from nishiki.photometric.lambert_fit import (
     FEWEST_LAMPS,
     GRAZING,
@@ -35,6 +34,7 @@ TILE = 8  # side of a tile, pixels of the reduced picture: one observation
 FEWEST_TILES, MOST_TILES = 12, 140  # a mean of fewer has no useful error; more only take time
 MOST_VALUES = 300_000  # of all tiles and photographs; with many lamps fewer tiles are enough
 PER_TILE = 5  # pixels of a tile in the fit of gains
+STEEPEST = 0.2  # cosine of the steepest slope that counts: beyond, small errors of the normal are any slope
 AXES = ((1, 0, 0, 1), (1, 0, 0, -1), (0, 1, 1, 0), (0, 1, -1, 0))  # as stated, mirrored, exchanged, turned
 
 

@@ -23,8 +23,9 @@ from numba import njit
 
 from nishiki.lanes import BLOCK, LANES, choose, larger, load, planes, root, smaller, splat, store
 from nishiki.photometric.flags import NOISE
-from nishiki.small_matrices import TERMS, solve_by_cofactors
+from nishiki.small_matrices import solve_by_cofactors
 
+TERMS = 10  # sums of a pixel
 RIDGE = np.float32(1e-6)  # of the trace: keeps degenerate windows of lights finite; biases a fit by less than 1e-4
 FAR = np.float32(3e38)
 # shares of the samples, and bounds in units of the scale of the concentrated fit (docs/notes/stages/separate.md)

@@ -29,10 +29,7 @@ from nishiki.progress import Summarised
 from nishiki.threads import over_rows, strips
 
 SOLVERS = ("lobe", "least_squares")
-NEAR_DEG = (
-    0.2  # largest difference between a pixel's direction to a near light and that of its block, and the turn that
-)
-# half of the normals may make where fewer lights are used
+NEAR_DEG = 0.2  # largest difference between a pixel's direction to a near light and that of its block
 SUSPECT = 40.0  # condition of the light matrix
 WORSE, SOMEWHAT = 16.0, 1.3
 

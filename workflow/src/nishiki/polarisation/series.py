@@ -22,11 +22,11 @@ from nishiki.polarisation.polarisation import LIT, SeparatedView
 from nishiki.polarisation.polariser_states import StateSums
 from nishiki.threads import strips
 
-SPARE = 4.0  # surplus photographs with which half of WORTH is allowed: few fit several orders by chance
+LEAVES = 0.7  # of the misfit, at most, that another order may leave where many photographs test the model
+SPARE = 4.0  # surplus photographs with which half of that is allowed: few fit several orders by chance
 EXPLAINED = 0.1  # of the variation that the right order may leave: else the model itself is wrong
 AS_GOOD = 1.25  # times the least misfit: orders that explain the photographs as well
-PAIRS, WORTH = 2, 0.7  # exchanges beside a shift or reversal, by which people err; of the misfit, at most, that another
-# order or an exchange more may leave where many photographs test the model
+PAIRS, WORTH = 2, 0.7  # exchanges beside a shift or reversal, by which people err, and what each may leave
 SHUFFLES, BY_CHANCE = 19, 2  # random orders, and how many of them may fit as well
 MOST_VALUES = 1 << 19
 GROUP = 64  # neighbouring values of a photograph that are averaged
@@ -109,7 +109,7 @@ def find_order(series: np.ndarray, design: np.ndarray) -> SeriesOrder | None:
     least = min(map(misfit, ends))
     simple = [order for order in (ends[0], *plain, ends[1]) if misfit(order) <= AS_GOOD * least]
     best = simple[0]  # of those that explain the photographs as well, the likeliest
-    allowed = WORTH * surplus / (surplus + SPARE) * first
+    allowed = LEAVES * surplus / (surplus + SPARE) * first
     if misfit(best) > allowed or misfit(best) > EXPLAINED * variation or first <= 1e-9 * variation:
         best = stated
     others: list[tuple[int, ...]] = []

@@ -19,12 +19,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.polarisation.noise import PhotographNoise, Series, differences_of, inverse_of, measure_noise
-from nishiki.polarisation.polarisation import FILLED
 from nishiki.polarisation.polariser_states import StateSums
 from nishiki.threads import over_rows
 
 PATCH = 8  # pixels a side of the squares that are transformed
 STEP = 3  # pixels from one square to the next
+FEWEST = 16  # usable pixels of a square
 FARTHEST = 3.0  # standard deviations of its own noise by which a pixel may change
 BAND = 64  # rows that are smoothed at a time
 
@@ -178,7 +178,7 @@ def _smooth_squares(colour, q, variance, usable):
     inside, n, count = usable[..., None], q.shape[-1], usable.sum(axis=(0, 1))
     sums = (np.where(inside, each, 0).sum(axis=(0, 1)) for each in (q, variance))
     means, sizes = (each / np.maximum(count, 1)[:, None] for each in sums)
-    known = (count >= FILLED * PATCH**2) & (sizes > 0).all(axis=1)
+    known = (count >= FEWEST) & (sizes > 0).all(axis=1)
     total = np.where(known, sizes.sum(axis=1), np.inf)
     sizes = np.sqrt(np.where(known[:, None], sizes, 1))
     square = (np.where(inside, q, means) / sizes).astype(np.float32)

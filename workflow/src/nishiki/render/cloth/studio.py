@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nishiki.brdf.slopes import GRAZING
 from nishiki.colour.colour import decode
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera, look_at
@@ -27,6 +26,8 @@ AT_ONCE = 1 << 14
 """Number of directions evaluated by a BRDF at a time."""
 WITHIN = np.radians(2.0)
 """Largest difference of frames between samples of a pixel that share their BRDF value."""
+LEAST_COSINE = 0.05
+"""Least cosine of the lamp's angle at a sample that represents others."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +132,7 @@ def _add_lamps(sums, scene, takes, lamps, samples: Fragments, shadows: bool, tal
         tally.reaching += float(light.before.sum())
         tally.blocked += float(light.before.sum() - light.strength.sum())
         reached = light.strength > 0
-        stands = np.where(light.incident[samples.stands, 2] > GRAZING, samples.stands, np.arange(len(reached)))
+        stands = np.where(light.incident[samples.stands, 2] > LEAST_COSINE, samples.stands, np.arange(len(reached)))
         for material in range(int(scene.material.max()) + 1):
             rows = np.flatnonzero(reached & (samples.material == material))
             brdfs = {id(take.materials[material]): take.materials[material] for take in takes if take.lamps[number]}

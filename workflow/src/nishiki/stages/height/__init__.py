@@ -33,7 +33,7 @@ LIMITS = (
 )
 
 
-class HeightSettings(Guarded, stage="height", version=5, limits=LIMITS):
+class HeightSettings(Guarded, stage="height", version=6, limits=LIMITS):
     """Integration of the normals."""
 
     method: Literal["auto", "dct", "weighted"] = Field(

@@ -6,9 +6,11 @@ from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.stage import Context
 from nishiki.photometric.expected_error import REACH, UNKNOWN, expected_error
 from nishiki.photometric.flags import NO_ESTIMATE
-from nishiki.photometric.height import SAMPLED_PIXELS, Sample, band_rows, flatten_normals, integrate_bands
+from nishiki.photometric.height import Sample, band_rows, flatten_normals, integrate_bands
 from nishiki.photometric.multigrid import windows
 from nishiki.stages.height import OUTPUTS
+
+SAMPLED = 100_000  # pixels of the percentiles
 
 
 def run(context: Context) -> dict:
@@ -43,7 +45,7 @@ def run(context: Context) -> dict:
         folder=context.output.folder,
     )
     errors = out.create("expected_error")
-    sample = Sample(diagnostics["valid_pixels"], SAMPLED_PIXELS)
+    sample = Sample(diagnostics["valid_pixels"], SAMPLED)
     for band in windows(shape[0], step, REACH):
         (normals, valid), sigma = read(band.read), maps.read("sigma", band.read)
         if "correction_sigma" in maps:

@@ -44,7 +44,7 @@ LIMITS = (
 )
 
 
-class NormalsSettings(Guarded, stage="normals", version=8, limits=LIMITS):
+class NormalsSettings(Guarded, stage="normals", version=9, limits=LIMITS):
     """Settings of photometric stereo (Tominaga and Tanaka 2004, section 3.3) and of the reflectance of each channel."""
 
     solver: Literal["lobe", "least_squares"] = Field(

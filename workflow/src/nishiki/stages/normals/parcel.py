@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile
 
 
-COUNTS = 0.01  # change of the light, relative, from which it counts
+WEIGHTED = 0.01  # mean change of the samples, relative, from which the shading is fitted to the mean of the channels
 
 
 def solve(
@@ -51,7 +51,7 @@ def solve(
         from nishiki.photometric.body import shading_of_mean
 
         mean, lit = mean_of_channels(observations), {"usable": usable, "valid": valid}
-        shading = shading_of_mean(intensity, mean, parcel.directions, field, **lit, least_change=COUNTS)
+        shading = shading_of_mean(intensity, mean, parcel.directions, field, **lit, least_change=WEIGHTED)
         field = replace(field, shading=shading)
     maps = {name: getattr(field, name) for name, *_ in OUTPUTS if hasattr(field, name)}
     if observations.shape[-1] == 1 and field.shading is None:

@@ -20,17 +20,18 @@ from nishiki.observations.linearise import Edges, field_rows
 from nishiki.observations.plane import Observations, Parcel, parcels
 from nishiki.photometric.body import mean_of_channels
 from nishiki.photometric.expected_error import UNKNOWN, correction_error, direction_groups
-from nishiki.photometric.flags import FEW_LIGHTS, FEWEST_LIGHTS, FOLDS, NO_ESTIMATE, NormalFlag
+from nishiki.photometric.flags import FEW_LIGHTS, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.light_selection import select_diffuse, unpack_lights
 from nishiki.photometric.relighting import TERMS
 from nishiki.stages.normals import OUTPUTS, NormalsSettings
 from nishiki.stages.normals.finishes import choose_finishes, finish_labels, refitted_error
-from nishiki.stages.normals.parcel import COUNTS, fit_finishes, relit, solve
+from nishiki.stages.normals.parcel import fit_finishes, relit, solve
 
 if TYPE_CHECKING:
     from nishiki.photometric.interreflection import Facets
 
 SIDE = 64  # facets along the longer side of the picture; the decision is made on half as many
+COUNTS = 0.01  # share of the light, exceeded on a tenth of the object, from which it is looked at
 BRIGHT = 0.99  # share of the facets that reflect no more than all light
 SCALES = 2.0 ** np.arange(-2, 0.1, 0.5)  # of the level at which they do: without a white board it is not known
 
@@ -61,7 +62,7 @@ def find_thrown_light(
     """
     if settings.interreflection == "none" or settings.solver == "least_squares" or frames.positions_mm is not None:
         return None, None
-    from nishiki.model_selection.relighting import ERRORS
+    from nishiki.model_selection.relighting import ERRORS, FEWEST, FOLDS
     from nishiki.photometric.interreflection import find_interreflection, left_out_errors
 
     step = facet_of(frames)
@@ -76,7 +77,7 @@ def find_thrown_light(
     words = "share of the light, exceeded on a tenth of the object, that other places of it throw"
     loss = f"normals of concave places too flat, {share:.2g} of the light" if share >= COUNTS else "nothing"
     kept = Decision("interreflection", "none", words, share, COUNTS, loss, "no setting forces it")
-    if share < COUNTS or len(lights) < FEWEST_LIGHTS:
+    if share < COUNTS or len(lights) < FEWEST:
         return None, kept
     without, best, most = left_out_errors(few, None, FOLDS), 0.0, 0.0
     for scale in scales:
