@@ -12,13 +12,7 @@ from nishiki.installation import COMMAND, use_kernel_cache
 from nishiki.version import PROJECT_VERSION
 
 SECTIONS = {
-    "first steps": {
-        "demo": "running",
-        "init": "project",
-        "run": "running",
-        "status": "project",
-        "view": "results",
-    },
+    "first steps": {"demo": "running", "init": "project", "run": "running", "status": "project", "view": "results"},
     "photographs and captures": {
         "convert": "capturing",
         "check": "capturing",

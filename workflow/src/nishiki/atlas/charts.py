@@ -212,14 +212,7 @@ def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float
 
 
 def cut(
-    mesh: Mesh,
-    vertices: np.ndarray,
-    rounds: int,
-    *,
-    up: np.ndarray,
-    front: np.ndarray,
-    spacing: float,
-    patience: float,
+    mesh: Mesh, vertices: np.ndarray, rounds: int, *, up: np.ndarray, front: np.ndarray, spacing: float, patience: float
 ) -> Charts | None:
     """Cut a mesh into charts; None where more than `patience` of the triangles are turned over.
 

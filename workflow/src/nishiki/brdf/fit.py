@@ -64,13 +64,7 @@ class PointFits:
 
 
 def fit_torrance_sparrow(
-    phi,
-    amplitude,
-    *,
-    weights=None,
-    attenuation=None,
-    diffuse=None,
-    gamma_bounds=GAMMA_BOUNDS,
+    phi, amplitude, *, weights=None, attenuation=None, diffuse=None, gamma_bounds=GAMMA_BOUNDS
 ) -> PointFits:
     """Fit K_d q + K_s a D(phi; gamma) to the observations of many points; K per channel, gamma per point.
 

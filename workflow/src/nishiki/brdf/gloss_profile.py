@@ -21,11 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from nishiki.brdf.torrance_sparrow import (
-    GAMMA_PER_SIGMA,
-    body_factor,
-    transmittance,
-)
+from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA, body_factor, transmittance
 from nishiki.errors import UserError
 
 PHI_UNIT = 5e-4  # rows are equally spaced in asinh(phi / PHI_UNIT): linear below it, 3.4 % wide above

@@ -12,15 +12,7 @@ import numpy as np
 from pydantic import model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.capture.frames import (
-    DIALECTS,
-    Frame,
-    Photographed,
-    exposure_problems,
-    inside,
-    lamp_problems,
-    read_frames,
-)
+from nishiki.capture.frames import DIALECTS, Frame, Photographed, exposure_problems, inside, lamp_problems, read_frames
 from nishiki.capture.goniometer import GoniometerCapture, GoniometerFile, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.mosaic import MosaicCapture, examine_mosaic, is_mosaic

@@ -275,11 +275,7 @@ def _states_of(boards: list[Path], layout: RoundLayout, folder: str) -> list[tup
     for stem in (p.stem for p in boards):  # the longest end after a separator that is a known state
         places = [0, *(match.end() for match in re.finditer(r"[^0-9A-Za-z.]+|(?<=[A-Za-z])(?=[0-9])", stem))]
         endings.append(next((stem[at:] for at in places if _state(stem[at:]) in known), stem))
-    readings = (
-        [p.stem for p in boards],
-        endings,
-        ["".join(map(str, part)) for part in names_apart(boards, folder)],
-    )
+    readings = ([p.stem for p in boards], endings, ["".join(map(str, part)) for part in names_apart(boards, folder)])
     for names in readings:
         states = [state if state in known else "" for state in map(_state, names)]
         if len(set(states)) == len(states) and set(states) - {""} in (known, set()):

@@ -133,13 +133,7 @@ DESCENT = 4.0  # first threshold of `solve` over the last
 
 
 def solve(
-    data: np.ndarray,
-    operator: Operator,
-    block: Block,
-    shape: tuple[int, ...],
-    *,
-    threshold: float,
-    iterations: int,
+    data: np.ndarray, operator: Operator, block: Block, shape: tuple[int, ...], *, threshold: float, iterations: int
 ) -> Solution:
     """Solve for the coefficients of `data` (channels, n) or (channels, lights * views, T, T).
 

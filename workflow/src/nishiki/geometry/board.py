@@ -126,11 +126,7 @@ class Calibration(PlainFields):
 
 
 def calibrate(
-    pictures: tuple[BoardCorners, ...],
-    *,
-    rows: int,
-    columns: int,
-    distortion: str = "tangential",
+    pictures: tuple[BoardCorners, ...], *, rows: int, columns: int, distortion: str = "tangential"
 ) -> Calibration:
     """Fit the lens by least squares over all corners (Zhang, IEEE Trans. PAMI 22, 2000, as in OpenCV).
 

@@ -94,9 +94,7 @@ def not_worth(lights: int, pixels: int) -> Decision | None:
 
 
 def measured_choice(
-    directions: np.ndarray,
-    samples: Sequence[LightSample],
-    solve: Solve,
+    directions: np.ndarray, samples: Sequence[LightSample], solve: Solve
 ) -> tuple[np.ndarray, Decision | None]:
     """Choose as `static_choice`, but the fewest lights by which half of the sample's normals stay in place.
 

@@ -41,15 +41,7 @@ Selected = namedtuple("Selected", "usable highlights shadows")
 
 
 def select_diffuse(
-    observations,
-    directions,
-    *,
-    method="refit",
-    valid=None,
-    w1=1.2,
-    w2=0.1,
-    keep=(0.3, 0.7),
-    min_lights=4,
+    observations, directions, *, method="refit", valid=None, w1=1.2, w2=0.1, keep=(0.3, 0.7), min_lights=4
 ):
     """Select per pixel the lights under which it shows diffuse reflection only.
 

@@ -92,15 +92,7 @@ class NormalField(Summarised):
 
 
 def estimate_normals(
-    observations,
-    directions,
-    *,
-    usable=None,
-    weights=None,
-    valid=None,
-    solver="lobe",
-    max_condition=1e4,
-    noise=0.003,
+    observations, directions, *, usable=None, weights=None, valid=None, solver="lobe", max_condition=1e4, noise=0.003
 ):
     """Estimate normals and albedo of every pixel from its observations under known lights.
 

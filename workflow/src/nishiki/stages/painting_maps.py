@@ -40,11 +40,7 @@ class PredictedLight:
 
 
 def predict_light(
-    model: PlaneMaps,
-    light: Light,
-    *,
-    visibility: np.ndarray | None = None,
-    pitch: float = 1.0,
+    model: PlaneMaps, light: Light, *, visibility: np.ndarray | None = None, pitch: float = 1.0
 ) -> PredictedLight:
     """Predict I' = (rho c f + beta D F G / cos_r) E with c = max(n.l, 0), frontal view, in camera channels.
 

@@ -13,15 +13,7 @@ import numpy as np
 
 from nishiki.brdf.cloth.yarn_fit import EVEN, FACETS, Measured, normal_weights, refuse_black, solve_linear
 from nishiki.errors import UserError
-from nishiki.weave.yarn_weave import (
-    COARSE,
-    PLAIN,
-    POINTS,
-    Binding,
-    InterlacedYarns,
-    YarnWeave,
-    horizons_of,
-)
+from nishiki.weave.yarn_weave import COARSE, PLAIN, POINTS, Binding, InterlacedYarns, YarnWeave, horizons_of
 
 # Logarithms, but for logits of shares and the arch. Priors are wide statements about cloth: weft yarns 1.2 as far apart
 # as warp yarns, within a quarter; warp yarns nearly touch; sections half as thick as wide, within a factor of 1.5; a

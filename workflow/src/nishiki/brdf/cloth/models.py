@@ -41,12 +41,7 @@ class Fitted:
 
 
 def fit_models(
-    measured: Measured,
-    basic,
-    names,
-    *,
-    oblique: int = 20,
-    yarns: tuple[YarnFacets, dict] | None = None,
+    measured: Measured, basic, names, *, oblique: int = 20, yarns: tuple[YarnFacets, dict] | None = None
 ) -> dict[str, Fitted]:
     """Fit the models named to one region.
 

@@ -22,8 +22,7 @@ class BrdfSettings(Guarded, stage="brdf", version=6, limits=PAINTING_LIMITS):
         1.45, gt=1, le=3, description="of the varnish or binder (Tominaga and Tanaka: 1.45)"
     )
     specular: Literal["auto", "keep", "drop"] = Field(
-        "auto",
-        description="auto: omitted where it does not better the prediction of captured lamps",
+        "auto", description="auto: omitted where it does not better the prediction of captured lamps"
     )
     hold_out: tuple[str, ...] = Field((), description="lights left out of the fit; filled in by the plan")
 

@@ -15,12 +15,7 @@ from nishiki.brdf.gloss_profile import (
     specular_samples,
     unit_of,
 )
-from nishiki.brdf.scene import (
-    described_ladder,
-    of_equal_lobes,
-    parameters_at_bounds,
-    without_gloss,
-)
+from nishiki.brdf.scene import described_ladder, of_equal_lobes, parameters_at_bounds, without_gloss
 from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.model_selection.decision import Decision, decide_gloss, economy
 from nishiki.observations.plane import Observations, parcels

@@ -196,12 +196,7 @@ def lens_of(
             "turntable.intrinsics"
         )
     rows, columns = views.shape
-    calibration = calibrate(
-        boards.pictures,
-        rows=rows,
-        columns=columns,
-        distortion=settings.distortion,
-    )
+    calibration = calibrate(boards.pictures, rows=rows, columns=columns, distortion=settings.distortion)
     return calibration.intrinsics, calibration.distortion, calibration
 
 

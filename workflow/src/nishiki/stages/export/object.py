@@ -29,11 +29,7 @@ from nishiki.render.object.renderer import ObjectRenderer, coverage
 from nishiki.render.object.shots import ObjectPicture
 from nishiki.stages.export import mitsuba_object
 from nishiki.stages.export.iiif import QUALITY, canvas, image, manifest_of, tiles_psnr_db, write_manifest
-from nishiki.stages.export.object_look import (
-    ObjectLook,
-    ObjectSurface,
-    SeenPoints,
-)
+from nishiki.stages.export.object_look import ObjectLook, ObjectSurface, SeenPoints
 from nishiki.stages.export.registry import METRES, CodedErrors, write_formats, write_gltf, write_mtlx, write_usd
 
 LAYERS = {
@@ -119,11 +115,7 @@ def write_mitsuba(context: Context, surface: ObjectSurface) -> dict:
     unit = METRES.get(context.inputs["mesh"].diagnostics.get("unit"), 1.0)
     folder = context.output.path("exports/mitsuba/scene.json").parent
     figures = write_folder(folder, look, surface.mesh, parameters, unit=unit, stamp=context.stamp)
-    return {
-        **look.figures(),
-        **figures,
-        "kinds": {name: {"psnr_db": found} for name, found in errors(surface).items()},
-    }
+    return {**look.figures(), **figures, "kinds": {name: {"psnr_db": found} for name, found in errors(surface).items()}}
 
 
 def write_folder(

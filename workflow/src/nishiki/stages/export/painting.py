@@ -63,11 +63,7 @@ def write_mitsuba(context: Context, scene: ExportedScene) -> dict:
 
 def model_textures(scene: ExportedScene) -> dict[str, Texture]:
     """Return the textures of `nishiki_paint.py`, by name."""
-    textures: dict[str, Texture] = {
-        "albedo": scene.srgb,
-        "normals": scene.shading_normals,
-        "shading": scene.body_terms,
-    }
+    textures: dict[str, Texture] = {"albedo": scene.srgb, "normals": scene.shading_normals, "shading": scene.body_terms}
     if not scene.casts_shadows:
         textures["directional"] = lambda rows: np.pad(require(scene.shading(rows))[..., 3:], ((0, 0), (0, 0), (0, 1)))
     if scene.gloss.beta.any():
@@ -139,10 +135,7 @@ def write_normals(context: Context, scene: ExportedScene) -> dict:
             software=software(context),
             pitch_mm=scene.pitch_mm,
         )
-    return {
-        "largest_deg": largest,
-        "rms_deg": (squares / count) ** 0.5 if count else 0.0,
-    }
+    return {"largest_deg": largest, "rms_deg": (squares / count) ** 0.5 if count else 0.0}
 
 
 def stamped(context: Context) -> str:
@@ -171,11 +164,7 @@ def write_height(context: Context, scene: ExportedScene) -> dict:
         nodata="nan",
     )
     step, vertices, faces = write_ply(context, scene)
-    return {
-        "pixels_a_vertex": step * step,
-        "vertices": vertices,
-        "faces": faces,
-    }
+    return {"pixels_a_vertex": step * step, "vertices": vertices, "faces": faces}
 
 
 def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:

@@ -32,9 +32,7 @@ def run(context: Context) -> dict:
             return flat[rows], read(rows)[1]
 
     height = out.create(
-        "height",
-        unit="mm" if pitch else "pixels",
-        nan="not integrated: outside the mask, or no estimate of the normal",
+        "height", unit="mm" if pitch else "pixels", nan="not integrated: outside the mask, or no estimate of the normal"
     )
     diagnostics = integrate_bands(
         shape,
@@ -58,9 +56,4 @@ def run(context: Context) -> dict:
         sample.add(error, valid[band.inner], band.core.start)
     middle, high = np.degrees(np.percentile(sample.chosen()[2], [50, 95]))
     expected = {"expected_error_median_deg": float(middle), "expected_error_p95_deg": float(high)}
-    return {
-        "unit": "mm" if pitch else "pixels",
-        **diagnostics,
-        "flattened_deg": float(np.degrees(turned)),
-        **expected,
-    }
+    return {"unit": "mm" if pitch else "pixels", **diagnostics, "flattened_deg": float(np.degrees(turned)), **expected}

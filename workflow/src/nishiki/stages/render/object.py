@@ -24,11 +24,7 @@ def run(context: Context) -> dict:
     settings = context.settings
     decoded = DecodedObject.open(context.inputs)
     without = decoded.numbers(settings.hold_out)
-    renderer = decoded.renderer(
-        without=without,
-        level=settings.level,
-        own_lamps=own_lamps(settings),
-    )
+    renderer = decoded.renderer(without=without, level=settings.level, own_lamps=own_lamps(settings))
     lights = decoded.light_weights(settings.lights)
     named = stills(decoded, renderer, settings)
     shots = [lit_by(shot, lights) for _, shot in named]

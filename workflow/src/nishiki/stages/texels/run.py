@@ -93,10 +93,7 @@ def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tupl
         raise UserError("the mesh has no triangles. Remedy: look at the silhouettes or scans of the stage mesh")
     up, front = turning(cameras)
     charts = make_charts(
-        mesh,
-        up=up,
-        front=front,
-        spacing=probe_spacing(mesh, cameras, texels_per_pixel=settings.texels_per_pixel),
+        mesh, up=up, front=front, spacing=probe_spacing(mesh, cameras, texels_per_pixel=settings.texels_per_pixel)
     )
     density = sampling_density(mesh, charts.plane, cameras)
     scale = texels_per_unit(density, charts.plane, charts.chart, texels_per_pixel=settings.texels_per_pixel)
