@@ -32,28 +32,11 @@ if TYPE_CHECKING:
     from nishiki.photometric.solve import estimate_normals
 
 __all__ = [
-    "Observed",
-    "estimate_normals",
-    "estimate_spectra",
-    "find_lights",
-    "fit_cloth",
-    "fit_estimator",
-    "fit_gloss",
-    "fresnel",
-    "integrate_height",
-    "read_capture",
-    "read_cloth",
-    "read_object",
-    "read_observations",
-    "read_photographs",
-    "render_view",
-    "save_picture",
-    "select_lights",
-    "shade",
-    "synthetic_reflectances",
-    "torrance_sparrow",
+    "Observed", "estimate_normals", "estimate_spectra", "find_lights", "fit_cloth", "fit_estimator", "fit_gloss",
+    "fresnel", "integrate_height", "read_capture", "read_cloth", "read_object", "read_observations", "read_photographs",
+    "render_view", "save_picture", "select_lights", "shade", "synthetic_reflectances", "torrance_sparrow",
     "write_cloth",
-]
+]  # fmt: skip
 
 _PLACES = {
     "estimate_normals": "photometric.solve:estimate_normals",

@@ -78,16 +78,8 @@ def crm_graph(scene: PackedScene) -> Entity:
     crate |= {"crm:P106_is_composed_of": ids(folders), "crm:P129_is_about": {"@id": _named("object")}}
     software = _node("code/Snakefile", "dig:D14_Software", f"Nishiki {scene.version}")
     stages = [entity for stage in scene.stages for entity in _stage(stage)]
-    graph = [
-        crate,
-        *_object(scene),
-        *_production_node(scene),
-        *_digitisation_node(scene),
-        *_capture(scene),
-        software,
-        *stages,
-    ]
-    return {"@context": CONTEXT, "@graph": graph}
+    described = [*_object(scene), *_production_node(scene), *_digitisation_node(scene), *_capture(scene)]
+    return {"@context": CONTEXT, "@graph": [crate, *described, software, *stages]}
 
 
 def _object(scene: PackedScene) -> list[Entity]:
@@ -220,11 +212,10 @@ class Record(NamedTuple):
     text: Callable[[PackedScene], str]  # ValueError where capture.yaml has a text that the format cannot hold
 
 
+CRM = "CIDOC Conceptual Reference Model 7.1 with CRMdig 3.2"
 RECORDS = {
     LIDO: Record("LIDO 1.1", lido_text),
-    CIDOC_CRM: Record(
-        "CIDOC Conceptual Reference Model 7.1 with CRMdig 3.2", lambda scene: json_text(crm_graph(scene))
-    ),
+    CIDOC_CRM: Record(CRM, lambda scene: json_text(crm_graph(scene))),
 }
 """Descriptions by the names of their files in the crate."""
 IN_WORDS = f"""\

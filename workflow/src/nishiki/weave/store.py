@@ -48,13 +48,9 @@ def describe(
 def describe_yarns(search: YarnSearch, *, confidence: float) -> dict:
     """Describe the weave of elliptical yarns: binding, equally good bindings, parameters, ranking."""
     best = search.best
+    names = ("weave", "harness", "step", "over", "under", "together")
     return {
-        "weave": best.binding.weave,
-        "harness": best.binding.harness,
-        "step": best.binding.step,
-        "over": best.binding.over,
-        "under": best.binding.under,
-        "together": best.binding.together,
+        **{name: getattr(best.binding, name) for name in names},
         "alike": [str(binding) for binding in search.alike],
         "ranking": [{"binding": str(binding), "cost": round(cost, 2)} for binding, cost in search.ranking],
         "rms_rel": best.rms_rel,

@@ -98,21 +98,10 @@ class YarnFit:
 
 def weave_of(x: np.ndarray, binding: Binding) -> YarnWeave:
     """Build the weave from parameters in the order of NAMES."""
-    e = np.exp(x)
-    share = 1 / (1 + np.exp(-x))
-    return YarnWeave(
-        binding=binding,
-        spacing_ratio=float(e[0]),
-        fill=share[1:3],
-        aspect=e[3:5],
-        crimp=float(share[5]),
-        bend=float(e[6]),
-        arch=float(x[7]),
-        upright=float(share[8]),
-        rough=e[9:13].reshape(2, 2),
-        gain=float(e[13]),
-        tail=float(share[14]),
-    )
+    e, share = np.exp(x), 1 / (1 + np.exp(-x))
+    numbers = {"spacing_ratio": e[0], "crimp": share[5], "bend": e[6], "arch": x[7], "upright": share[8], "gain": e[13]}
+    scalars = {name: float(value) for name, value in (numbers | {"tail": share[14]}).items()}
+    return YarnWeave(binding=binding, fill=share[1:3], aspect=e[3:5], rough=e[9:13].reshape(2, 2), **scalars)
 
 
 def prior_of(binding: Binding, spacing_ratio: float | None) -> tuple[np.ndarray, np.ndarray]:

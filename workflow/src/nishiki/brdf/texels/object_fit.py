@@ -75,7 +75,8 @@ def fit_object(
     origin = FAR * edge * np.rint(first_texel.astype(float).sum(axis=0) / (FAR * edge))
     lattice = Lattice(edge, tuple(origin.tolist()))
     freedom = _choose_freedom(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
-    passes = _Passes.of(read, tiles, capture, lattice, freedom, threads)
+    first = _first_pass(read, tiles, capture, lattice, threads)
+    passes = _Passes.of(read, tiles, capture, lattice, freedom, first, threads)
 
     def finish(k: int) -> tuple[np.ndarray, float, int]:
         tile = read(tiles[k]).joined
@@ -114,10 +115,9 @@ def _choose_freedom(
             total += float(np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64))
         return total
 
-    errors, first = [], None
+    errors, first = [], _first_pass(shown, tiles, capture, lattice, threads)
     for freedom in FREEDOMS:
-        passes = _Passes.of(shown, tiles, capture, lattice, freedom, threads, first)
-        first = passes.first
+        passes = _Passes.of(shown, tiles, capture, lattice, freedom, first, threads)
         errors.append(sum(in_threads(partial(error, passes=passes), range(len(tiles)), threads)))
     return FREEDOMS[int(np.argmin(errors))]
 
@@ -250,19 +250,23 @@ class _Passes:
     @classmethod
     def of(
         cls, read: Callable[[int], Tile], tiles: list[int], capture: Capture, lattice: Lattice, freedom: float,
-        threads: int, first: list[_First] | None = None,
+        first: list[_First], threads: int,
     ) -> "_Passes":  # fmt: skip
-        """Run them; freedom: factor on the scatter about the neighbours; first: pass 1, where it has been made."""
-        numbers = range(len(tiles))
-        if first is None:
-            first = list(in_threads(lambda k: _First.of(read(tiles[k]), capture, lattice), numbers, threads))
-        widths, own = _Widths.of(first, lattice, freedom), first
+        """Run the second pass after the first; freedom: factor on the scatter about the neighbours."""
+        widths = _Widths.of(first, lattice, freedom)
 
         def second(k: int) -> _Second:
-            return _Second.of(read(tiles[k]).joined, capture, widths, own[k], lattice)
+            return _Second.of(read(tiles[k]).joined, capture, widths, first[k], lattice)
 
-        gloss = _Gloss.of(list(in_threads(second, numbers, threads)), first, lattice, freedom)
+        gloss = _Gloss.of(list(in_threads(second, range(len(tiles)), threads)), first, lattice, freedom)
         return cls(first, widths, gloss)
+
+
+def _first_pass(
+    read: Callable[[int], Tile], tiles: list[int], capture: Capture, lattice: Lattice, threads: int
+) -> list[_First]:
+    """Run the first pass over all tiles."""
+    return list(in_threads(lambda number: _First.of(read(number), capture, lattice), tiles, threads))
 
 
 def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: _First) -> Parameters:
