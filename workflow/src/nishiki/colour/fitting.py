@@ -21,6 +21,7 @@ from nishiki.errors import UserError
 CONDITION_LIMIT = 1e6  # of the paper's system matrix: singular values below the largest over it are left out
 RADIUS = 6.0  # of the kernels of the local correction, in whitened standard deviations, for three channels
 NOISE_SEED = 61
+DARK_NOISE = 0.05  # noise of a black response, relative to what the brightness of white adds to it
 RIDGES = (0.03, 0.1, 0.3, 1.0, 3.0)
 RIDGE_TOLERANCE = 0.01  # the smoothest correction whose left-out error is within this part of the least
 
@@ -307,7 +308,7 @@ def fit_regression(problem: Problem, bases: int | BasesRule | None, centres: int
     far = float(left_out.mean())
     if centres:
         noise = np.random.default_rng(NOISE_SEED).standard_normal(problem.responses.shape) * problem.noise
-        noisy = problem.responses + noise * (problem.responses + DARK) / (1 + DARK)
+        noisy = problem.responses + noise * (problem.responses + DARK_NOISE) / (1 + DARK_NOISE)
         estimates = noisy @ dense.T
         # distances in N whitened dimensions grow like sqrt(N)
         correction = fit_correction(

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 TAPER_START, TAPER_END = 1.0, 3.0  # whitened standard deviations beyond the training box
-DARK = 0.05  # mean response at which a correction has half its weight, and light adds to the noise as much as black has
+DARK = 0.05  # mean response at which the correction has half its weight: black stays black
 
 
 class SpectralFlag(IntEnum):
