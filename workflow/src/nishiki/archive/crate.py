@@ -19,24 +19,11 @@ from nishiki.optional_formats.museums import RECORDS
 BIOSCHEMAS = "https://bioschemas.org/profiles/"
 PROJECT_LICENCE = "https://spdx.org/licenses/BSD-3-Clause"
 FORMATS = {
-    ".json": "application/json",
-    ".jsonld": "application/ld+json",
-    ".xml": "application/xml",
-    ".csv": "text/csv",
-    ".html": "text/html",
-    ".png": "image/png",
-    ".jpg": "image/jpeg",
-    ".svg": "image/svg+xml",
-    ".exr": "image/x-exr",
-    ".mp4": "video/mp4",
-    ".webp": "image/webp",
-    ".npz": "application/zip",
-    ".ply": "model/ply",
-    ".glb": "model/gltf-binary",
-    ".usdz": "model/vnd.usdz+zip",
-    ".md": "text/markdown",
-    ".txt": "text/plain",
-}
+    ".json": "application/json", ".jsonld": "application/ld+json", ".xml": "application/xml", ".csv": "text/csv",
+    ".html": "text/html", ".png": "image/png", ".jpg": "image/jpeg", ".svg": "image/svg+xml", ".exr": "image/x-exr",
+    ".mp4": "video/mp4", ".webp": "image/webp", ".npz": "application/zip", ".ply": "model/ply",
+    ".glb": "model/gltf-binary", ".usdz": "model/vnd.usdz+zip", ".md": "text/markdown", ".txt": "text/plain",
+}  # fmt: skip
 CONTEXT = ["https://w3id.org/ro/crate/1.1/context", "https://w3id.org/ro/terms/workflow-run/context"]
 RO_CRATE = "https://w3id.org/ro/crate/1.1"
 WORKFLOW = "https://w3id.org/workflowhub/workflow-ro-crate/1.0"

@@ -193,20 +193,9 @@ def fit_lambert(
     variance[lights:] += (own**2).sum(axis=1)
     leverage = weights * np.einsum("jsa,sab,jsb->js", lamps, inverse, lamps)
     alone = residual / np.maximum(1 - leverage, 1e-2)
-    return Fit(
-        normals,
-        gains,
-        covariance[:lights, :lights],
-        ambient,
-        float(np.sqrt(variance[of_ambient].sum())),
-        weights * last**2,
-        residual,
-        alone,
-        inverse,
-        last,
-        width,
-        float(np.sqrt(variance[-1])) if places is not None else 0.0,
-    )
+    of_lamps = gains, covariance[:lights, :lights], ambient, float(np.sqrt(variance[of_ambient].sum()))
+    deviation = float(np.sqrt(variance[-1])) if places is not None else 0.0
+    return Fit(normals, *of_lamps, weights * last**2, residual, alone, inverse, last, width, deviation)
 
 
 def multiply(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -24,20 +24,11 @@ def describe(
     yarns : what is known of the interlaced yarns, see `describe_yarns`.
     """
     model = fit.model
-    return {
-        "yarns": yarns,
-        "weave": weave,
-        "harness": harness,
-        "reading": model.reading,
-        "weft": model.weft.as_dict(),
-        "warp": model.warp.as_dict(),
-        "a_weft": model.a_weft,
-        "a_warp": model.a_warp,
-        "index": model.index,
-        "k_s": model.k_s.tolist(),
-        "k_d": model.k_d.tolist(),
-        "rms_rel": fit.rms_rel,
-        "variance": fit.variance,
+    found: dict = {"yarns": yarns, "weave": weave, "harness": harness, "reading": model.reading}
+    found |= {"weft": model.weft.as_dict(), "warp": model.warp.as_dict()}
+    found |= {"a_weft": model.a_weft, "a_warp": model.a_warp, "index": model.index}
+    found |= {"k_s": model.k_s.tolist(), "k_d": model.k_d.tolist(), "rms_rel": fit.rms_rel, "variance": fit.variance}
+    return found | {
         "intervals": {name: list(ends) for name, ends in fit.intervals.items()},
         "identifiability": asdict(fit.identifiability),
         "at_bounds": fit.at_bounds,

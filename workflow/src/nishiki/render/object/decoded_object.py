@@ -49,20 +49,11 @@ class DecodedObject:
                 f"views, mesh and cameras of {len(mesh.triangles)} and {len(cameras)}; expected the same ones. Remedy: "
                 "give artifacts that were made from one another"
             )
-        return cls(
-            mesh,
-            atlas,
-            cameras,
-            Residual(inputs["residual"].folder),
-            Lighting.from_dict(lighting),
-            texel_triangles(atlas),
-            texels.encoding,
-            texels.channels,
-            texels.full_turn,
-            tuple(texels.views),
-            tuple(texels.lights),
-            largest_value(Views(inputs["ingest"].folder)) if "ingest" in inputs else None,
-        )
+        residual, triangles = Residual(inputs["residual"].folder), texel_triangles(atlas)
+        names = tuple(texels.views), tuple(texels.lights)
+        ceiling = largest_value(Views(inputs["ingest"].folder)) if "ingest" in inputs else None
+        described = texels.encoding, texels.channels, texels.full_turn, *names, ceiling
+        return cls(mesh, atlas, cameras, residual, Lighting.from_dict(lighting), triangles, *described)
 
     def renderer(self, *, mesh: Mesh | None = None, **options) -> ObjectRenderer:
         """Make a renderer of the object; `mesh`: the same triangles at other places; options as of `ObjectRenderer`."""
