@@ -107,7 +107,7 @@ def test_bytes_do_not_depend_on_threads_or_bands(tiny, monkeypatch):
     np.testing.assert_array_equal(again.label, tiny.label)
     single = photograph(again, lamp, TINY, tables)
     monkeypatch.setattr(threads, "threads", lambda: 5)
-    monkeypatch.setattr(photographs, "_BAND_ROWS", 24)
+    monkeypatch.setattr(photographs, "strips", lambda rows: (slice(k, k + 24) for k in range(0, rows, 24)))
     banded = photograph(tiny, lamp, TINY, tables)
     for name in ("codes", "lit", "xyz_lamp", "xyz_d65", "gloss", "body"):
         np.testing.assert_array_equal(getattr(single, name), getattr(first, name))
