@@ -36,6 +36,7 @@ FAINT = 0.1  # gain below which a photograph shows the room and the noise, not i
 LEAST_AMBIENT = 0.02  # of the albedo: less turns normals by less than half a degree, and lenses and walls give as much
 REPEATED = 0.25  # of the difference that two lamps should make: the same lamp twice leaves the noise of the camera
 MOST_AMBIENT = 0.4  # of a lamp: more cannot be told from an even object, where .41 to 1.1 seemed to be
+WORSE = 2.0  # times the misfit without ambient light: shadows prove some that misfits more, up to 1.5
 LEAST_FLOOR, LEAST_BEHIND = 0.3, 0.75  # of the ambient light: the darkest shadows, and the usual ones behind the object
 # of the ambient light from fit to fit: .02 to .11 on six measured sets, .36 and .8 on a glossy painting
 MOST_DRIFT = 0.2
@@ -47,6 +48,7 @@ MOST_COURSE = 0.5  # deviation of log strengths that are linear over the directi
 LARGEST_MISFIT = 0.1  # of the brightness: where the photographs are predicted worse, nothing is concluded from them
 HIGHLIGHT = np.cos(np.radians(20.0))  # between normal and half vector: broader gloss is as good as diffuse
 LEAST_MATT = 0.25  # of a lamp's samples that hold no gloss: of fewer, its strength is not determined
+AGREEING = 1.4  # factor between the widths with and without the samples that may hold gloss
 EXPLAINED = 0.9  # of the robust misfit that near lamps leave: a wrong law of reflection reached .96
 LEAST_TURN_DEG = 2.5  # by which far lamps turn the normals in the median: gloss on a flat object reached 2.1
 LAW_ERROR = 0.1  # of the width, by which rough and glossy matter shift it: 0 to 0.2 under a ring of lamps
@@ -132,9 +134,9 @@ def take_ambient(values: np.ndarray, directions: np.ndarray, patches: np.ndarray
         floor, sigma, ambient = deepest_shadows(values, replace(rest, ambient=ambient), albedo, patches)
         levels.append(ambient)
     else:
-        misfit = np.nanmedian(np.abs(rest.alone)) / np.nanmedian(values)
+        misfit, before = (np.nanmedian(np.abs(one.alone)) / np.nanmedian(values) for one in (rest, fit))
         steady = np.ptp(levels[1:]) < MOST_DRIFT * ambient
-        believed = np.isfinite(dark) or (steady and misfit < LARGEST_MISFIT / 2)
+        believed = np.isfinite(dark) or (steady and misfit < min(LARGEST_MISFIT / 2, WORSE * before))
         cosine = np.einsum("jsa,sa->js", directions.reshape(len(values), -1, 3), rest.normals)
         behind = (values / albedo)[cosine < -GRAZING * albedo]
         behind = behind[np.isfinite(behind)]
@@ -352,13 +354,12 @@ def measure_width(values: np.ndarray, vectors: np.ndarray) -> NearLamps | None:
     slopes = [-n[:, :2] / np.maximum(n[:, 2:], STEEPEST) for n in (before, after)]
     middle = x[:, :2] - x[:, :2].mean(axis=0)
     bend = ((slopes[0] - slopes[1]) * middle).sum() / (middle**2).sum()
-    sigma = float(np.hypot(near.width_sigma, LAW_ERROR * near.width))
     return NearLamps(
         unit * near.width,
-        unit * sigma,
+        unit * float(np.hypot(near.width_sigma, LAW_ERROR * near.width)),
         float(cost[1] / max(cost[0], 1e-12)),
         float(np.nanmedian(np.abs(_residuals(near)) / np.linalg.norm(near.normals, axis=1))),
-        bool(near.width > 0 and abs(first - near.width) < SURE * sigma),
+        bool(near.width > 0 and 1 / AGREEING < first / near.width < AGREEING),
         float(np.median(turned)),
         -float(bend) / 8,  # of a paraboloid over half the width
         near.gains,
