@@ -241,6 +241,33 @@ def test_failed_lamps_and_repeated_photographs_are_left_out(clean, tmp_path):
     assert difference(field, clean) < 2 * ACCURATE  # two lamps less
 
 
+STRANGERS = {
+    "another curve": lambda picture: np.clip(picture, 0, 1) ** (1 / 2.2),
+    "mirrored": lambda picture: picture[:, ::-1],
+    "turned by half": lambda picture: picture[::-1, ::-1],
+    "two lamps": lambda picture: (picture + seen(lamps()[8])) / 2,
+    "another thing": lambda picture: np.roll(picture, (31, 47), (0, 1)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", STRANGERS)
+def test_a_photograph_that_the_others_contradict_is_left_out(clean, tmp_path, kind):
+    pictures = [seen(light) for light in lamps()]
+    pictures[4] = STRANGERS[kind](pictures[4])
+    field, diagnostics, _ = digitise(write_set(tmp_path / "s", pictures), tmp_path)
+    assert set(diagnostics["corrections"]["done"]["left_out"]) == {"p04"}
+    assert difference(field, clean) < ACCURATE
+    problems = check_capture(tmp_path / "c", level="full")
+    assert [p.file for p in problems if p.kind == "photograph-contradicts"] == ["frames/p04.png"]
+
+
+@pytest.mark.parametrize("name", ["uw_cat", "uw_owl", "uw_horse", "uw_gray", "diligent_ball", "diligent_cat"])
+def test_sound_photographs_contradict_nothing(data, tmp_path, name):
+    convert(data / name, tmp_path / "c")
+    assert "photograph-contradicts" not in {p.kind for p in check_capture(tmp_path / "c", level="full")}
+
+
 def test_too_few_lamps_are_refused(tmp_path):
     pictures = [seen(light) if j < 2 else 0 * seen(light) for j, light in enumerate(lamps(4))]
     convert(write_set(tmp_path / "s", pictures), tmp_path / "c")

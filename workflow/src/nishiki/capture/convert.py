@@ -299,8 +299,9 @@ def _entry_of(source: Path, archive: Path) -> ArchiveEntry:
 
 
 JUDGED = (
-    *("camera-moved", "lamps-near", "lamp-failed", "photograph-repeated", "room-light", "lights-axes-undecided"),
-    *("white-exchanged", "white-disagrees", "view-contradicts", "views-contradict", "mesh-placement"),
+    *("camera-moved", "lamps-near", "lamp-failed", "photograph-repeated", "photograph-contradicts", "room-light"),
+    *("lights-axes-undecided", "white-exchanged", "white-disagrees", "view-contradicts", "views-contradict"),
+    "mesh-placement",
 )
 """Kinds of warnings from comparing photographs with each other, which `convert` passes on."""
 
@@ -365,7 +366,9 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
         target-exists, folder-missing, file-missing, and those of `read_source` and of the layout's writer.
     """
     options = replace(options or ConvertOptions(), **given)
-    source, target = named(Path(source)), Path(target)
+    source, target = Path(source), Path(target)
+    if source.name in ("", ".."):  # titles are taken from the name
+        source = Path(os.path.abspath(source))
     if target.exists():
         refuse("target-exists", str(target), "target exists", remedy="Choose another name; nothing is overwritten")
     missing = file_problems(lights=options.lights_file)
@@ -387,8 +390,3 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
         raise_errors(found)
     notes += [problem for problem in found if problem.kind in JUDGED]
     return Conversion(target, layout.name, layout.count, (*layout.warnings, *notes), layout.geometry, layout.channels)
-
-
-def named(source: Path) -> Path:
-    """Return a path that ends in the source's name, from which titles are taken; `.` and `..` have none."""
-    return Path(os.path.abspath(source)) if source.name in ("", "..") else source

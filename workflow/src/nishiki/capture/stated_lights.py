@@ -113,11 +113,12 @@ def choose_strengths(
     near: vectors (lights, 3) are positions, at which a lamp of strength 1 lights the middle by the inverse square of
     its distance. A course of strengths that is linear over the directions is like a tilt of the object, and left out.
     """
-    found = measure_gains(samples, vectors, near=near)
+    lamps = vectors[samples.chosen]
+    directions = lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
+    found = measure_gains(samples, lamps if near else directions, near=near)
+    left: dict[str, float] = {}
     if found is None:
-        return "", {}
-    directions = vectors[samples.chosen] / np.linalg.norm(vectors[samples.chosen], axis=1, keepdims=True)
-    left = {}
+        return "", left
     for name, strengths in candidates.items():
         _, rest = split_course(found / strengths[samples.chosen], directions)
         left[name] = float(np.hypot(LEAST_STRENGTH, np.sqrt(np.mean(rest**2))))
@@ -126,14 +127,12 @@ def choose_strengths(
 
 @none_where_undetermined
 def measure_gains(samples: PhotoSamples, vectors: np.ndarray, *, near: bool) -> np.ndarray | None:
-    """Measure the strengths (photographs,) of the lamps, see `choose_strengths`."""
-    lamps = vectors[samples.chosen]
+    """Measure the strengths of the lamps at positions or in directions (photographs, 3)."""
     if near:
-        found: NearLamps | None = measure_width(samples.values, lamps)
+        found: NearLamps | None = measure_width(samples.values, vectors)
         return None if found is None else found.gains
     places, patches = spread_pixels(samples.values)
-    directions = lamps / np.linalg.norm(lamps, axis=1, keepdims=True)
-    return fit_lambert(samples.values.reshape(len(lamps), -1)[:, places], directions, patches).gains
+    return fit_lambert(samples.values.reshape(len(vectors), -1)[:, places], vectors, patches).gains
 
 
 CODE_PAGES = "cp932 gbk big5 cp949 euc_jp cp1251 cp1253 cp1250 cp1252 mac_roman cp850 cp437 latin-1".split()

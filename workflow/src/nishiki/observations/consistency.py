@@ -80,13 +80,9 @@ class Judgement:
     @cached_property
     def near(self) -> NearLamps | None:
         """Distance of directed lamps by the fall-off of their light, in widths of these pictures; None: unknown."""
-        if (
-            self.lamps.ndim > 2
-            or self.boards is not None
-            or not (self.arrangement is None or self.arrangement.as_stated)
-        ):
+        if self.lamps.ndim > 2 or self.boards is not None:
             return None
-        return measure_width(self.grey, self.lamps)
+        return measure_width(self.grey, self.lamps) if self.arrangement is None or self.arrangement.as_stated else None
 
 
 @dataclass
@@ -157,10 +153,8 @@ class ReducedPhotographs:
 
         if gain.shape[:2] == (1, 1):
             return gain
-        rows, columns = self.mask.shape
-        whole = cv2.resize(gain, (columns // self.step, rows // self.step)).reshape(
-            rows // self.step, columns // self.step, -1
-        )
+        rows, columns = (n // self.step for n in self.mask.shape)
+        whole = cv2.resize(gain, (columns, rows)).reshape(rows, columns, -1)
         top, left = (part.start // self.step for part in self.part)
         return whole[top : top + self.shape[0], left : left + self.shape[1]]
 
@@ -193,11 +187,9 @@ class ReducedPhotographs:
                 aligned, consistency = together, after
             else:
                 moved = np.zeros(len(places), bool)
-        names = tuple(self.files[i] for i in places)
         boards = self._levels_of_boards(places) if self._all_boards(places) else None
-        return Judgement(
-            places, names, values, lamps, directions, movement, moved, aligned, before, consistency, boards
-        )
+        seen = values, lamps, directions, movement, moved, aligned, before, consistency, boards
+        return Judgement(places, tuple(self.files[i] for i in places), *seen)
 
     def _movement(self, values: np.ndarray, places: tuple[int, ...], directions: np.ndarray) -> Movement:
         """Measure the movement of the camera."""
@@ -240,9 +232,9 @@ class ReducedPhotographs:
         return np.stack(boards)
 
     def _all_boards(self, places: tuple[int, ...]) -> bool:
-        return (
-            bool(self.reader.capture.frames_of("white")) if self.gain is not None else set(places) <= set(self.boards)
-        )
+        if self.gain is None:
+            return set(places) <= set(self.boards)
+        return bool(self.reader.capture.frames_of("white"))
 
     def _board_cosine(self, place: int) -> np.ndarray | float:
         """Compute cos(theta_W) at each pixel of the reduced picture, or one for all."""
@@ -299,7 +291,7 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
     if found is None or any(problem.severity == "error" for problem in problems):
         return problems
     problems += near_problems(judgement.near, capture)
-    problems += useless_problems(useless_photographs(found, judgement.names), judgement.names)
+    problems += useless_problems(useless_photographs(judgement, found), judgement.names)
     return problems + ambient_problems(found, capture)
 
 
@@ -326,14 +318,17 @@ def pair_problems(judgement: Judgement, capture: Capture) -> list[Problem]:
     return problems
 
 
-def useless_photographs(found: Consistency | None, names: Sequence[str]) -> dict[int, tuple[str, str]]:
+def useless_photographs(judgement: Judgement, found: Consistency | None) -> dict[int, tuple[str, str]]:
     """Select unusable photographs, by number: the kind of the problem, and the reason."""
     if found is None:
         return {}
     useless = dict.fromkeys(found.failed, ("lamp-failed", "its lamp did not burn"))
     for worse, other in found.repeats:
         if worse not in useless and other not in useless and found.residual[worse] > LEAST_MISFIT:
-            useless[worse] = ("photograph-repeated", f"it shows the lamp of {names[other]}")
+            useless[worse] = ("photograph-repeated", f"it shows the lamp of {judgement.names[other]}")
+    for j, angle in found.find_strangers(judgement.directions).items():
+        reason = f"the others contradict it, and its light seems to come from {angle:.0f} degrees beside its lamp"
+        useless.setdefault(j, ("photograph-contradicts", reason))
     return useless
 
 
@@ -353,9 +348,8 @@ def ambient_problems(found: Consistency, capture: Capture, subtracts: bool | Non
     """Warn of ambient light; subtracts: whether it is subtracted, None where ingest decides that."""
     if found.ambient <= max(LEAST_AMBIENT, SURE * found.ambient_sigma):
         return []
-    what = "the photographs contain light of the room"
-    if capture.frames_of("ambient"):
-        what = "the photographs contain more light of the room than those without a lamp"
+    more, than = ("more ", " than those without a lamp") if capture.frames_of("ambient") else ("", "")
+    what = f"the photographs contain {more}light of the room{than}"
     if subtracts is not False:
         what += "; its estimate is subtracted" if subtracts else "; ingest subtracts its estimate"
     said = f"{100 * found.ambient:.1f} {error_text(100 * found.ambient_sigma, 1)} % of a lamp that faces the object"
@@ -403,8 +397,7 @@ def _arrangement_problems(judgement: Judgement, arrangement: Arrangement, captur
         remedy = f"Compare {file} with the photographs (check --open shows them), or measure the lamps on mirror balls"
         return [error("lights-order", file, what, found=f"misfit of the photographs {percent[0]:.1f} %", remedy=remedy)]
     options, kinds = [], []
-    number = tuple(range(len(judgement.lights)))
-    if arrangement.order != number:
+    if arrangement.order != tuple(range(len(judgement.lights))):
         order = list(range(len(capture.lights.names)))
         for photograph, lamp in enumerate(arrangement.order):
             order[judgement.lights[photograph]] = judgement.lights[lamp]
@@ -422,10 +415,9 @@ def _arrangement_problems(judgement: Judgement, arrangement: Arrangement, captur
 
 def order_text(order: list[int]) -> str:
     """Write an order of lamps in the syntax of `--lights-order`."""
-    count, number = len(order), list(range(len(order)))
-    if order == number[::-1]:
+    count, step = len(order), order[0]
+    if order == list(range(count))[::-1]:
         return "reverse"
-    step = order[0] if order[0] <= count // 2 else order[0] - count
-    if order == [(i + step) % count for i in number]:
-        return f"shift:{step}"
+    if order == [(i + step) % count for i in range(count)]:
+        return f"shift:{step if step <= count // 2 else step - count}"
     return ",".join(str(i + 1) for i in order)

@@ -86,11 +86,6 @@ class Corrections:
     measured: dict[str, Any] = field(default_factory=dict)
     problems: tuple[Problem, ...] = ()  # warnings, one for each kind of correction
 
-    @property
-    def strengths(self) -> np.ndarray:
-        """(lights, 1, 1, 1) float32: the gains in the shape of the boards' gains."""
-        return self.gains.astype(np.float32)[:, None, None, None]
-
 
 def find_corrections(reader: FrameReader, reduced: ReducedPhotographs, wishes: Wishes) -> Corrections:
     """Measure the photographs of a plane against each other, and decide on corrections.
@@ -117,11 +112,10 @@ def find_corrections(reader: FrameReader, reduced: ReducedPhotographs, wishes: W
         motions, channels = dict(reader.motions), len(reader.names)
         return Corrections(capture, np.arange(len(frames)), motions, np.ones(len(frames)), np.zeros(channels))
     registers, lamps = wishes.registration == "auto", judgement.lamps
-    values, found = judgement.values, judgement.before
-    if registers:
-        values, found = judgement.aligned, judgement.consistency
+    own, together = (judgement.values, judgement.before), (judgement.aligned, judgement.consistency)
+    values, found = together if registers else own
     problems = movement_problems(judgement, registers) + pair_problems(judgement, capture)
-    useless, leaves = useless_photographs(found, judgement.names), wishes.leave_out == "auto"
+    useless, leaves = useless_photographs(judgement, found), wishes.leave_out == "auto"
     problems += useless_problems(useless, judgement.names, leaves)
     kept = np.arange(len(frames))
     if useless and leaves:
@@ -266,7 +260,9 @@ def write_observations(
     outline = object_mask(capture, size, asked)
     mask = outline.inside.astype(np.uint8)
     if capture.mask is not None:
-        reader, mask = cropped(reader, mask, settings.white_block)
+        region = region_around(mask, reader.region, settings.white_block)
+        mask = np.ascontiguousarray(mask[window_of(reader.region, region)])
+        reader = replace(reader, region=region)
     _, _, rows, columns = reader.region
     rows_read, columns_read = window_of(asked, reader.region)
     # edges of the blocks of the asked region that lie in the kept one, counted from its corner
@@ -314,7 +310,8 @@ def write_observations(
     for j, frame in enumerate(capture.observed):
         problems += frame_problems(frame, counts[j], float(found[j][4]), reader)
     defect = darks.defect | gains.defect
-    arrays = {"mask": mask, "gain": gains.gain / corrections.strengths, "dark": darks.for_frames(capture.observed)}
+    gain = gains.gain / corrections.gains.astype(np.float32)[:, None, None, None]
+    arrays = {"mask": mask, "gain": gain, "dark": darks.for_frames(capture.observed)}
     labels, label_warnings = region_numbers(capture, size, reader.region)
     if labels is not None:
         arrays["regions"] = labels
@@ -341,13 +338,6 @@ def write_observations(
         "defects": int((defect & (mask > 0)).sum()),
         "corrections": corrections.measured,
     }
-
-
-def cropped(reader: FrameReader, mask: np.ndarray, white_block: int) -> tuple[FrameReader, np.ndarray]:
-    """Crop the reader and the mask (rows, columns) to the bounding box of the mask, with a rim."""
-    region = region_around(mask, reader.region, white_block)
-    window = window_of(reader.region, region)
-    return replace(reader, region=region), np.ascontiguousarray(mask[window])
 
 
 def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader) -> list[Problem]:
@@ -423,20 +413,10 @@ def subtract_room(store: Path, ambient: np.ndarray, strengths: np.ndarray) -> No
 
 
 def albedo_under_room(values: np.ndarray, valid: np.ndarray, lamps: np.ndarray, ambient: np.ndarray) -> np.ndarray:
-    """Estimate rho of the module's equation.
+    """Estimate rho (rows, columns, channels) float32 of the module's equation, 0 where it is not known.
 
-    Parameters
-    ----------
-    values : (lights, rows, columns, channels) float32
-    valid : (lights, rows, columns) bool
-    lamps : (lights, 3) float64
-        Directions times strengths.
-    ambient : (channels,) float64
-
-    Returns
-    -------
-    (rows, columns, channels) float32
-        0 where it is not known.
+    values (lights, rows, columns, channels) float32, valid (lights, rows, columns) bool; lamps (lights, 3): directions
+    times strengths; ambient (channels,) float64.
     """
     lights, rows, columns, channels = values.shape
     flat, known = values.reshape(lights, -1, channels), valid.reshape(lights, -1).astype(np.float32)

@@ -20,13 +20,13 @@ import numpy as np
 
 from nishiki.photometric.consistency import (
     FEWEST_PIXELS,
-    HIGHLIGHT,
     LARGEST_MISFIT,
     LEAST_GAIN,
     LEAST_MATT,
     SURE,
     is_even,
     law_errors,
+    may_shine,
 )
 from nishiki.photometric.lambert_fit import (
     FEWEST_LAMPS,
@@ -134,10 +134,8 @@ def _without_gloss(
 
     photographs, whites (lights, pixels); lamps (lights, pixels or 1, 3); patches, terms: see `_measure`.
     """
-    half = lamps / np.linalg.norm(lamps, axis=2, keepdims=True) + (0, 0, 1)
     fit = fit_lambert(photographs / whites, lamps, patches, hold=FIRST)
-    cosine = np.einsum("jsa,sa->js", half, fit.normals) / np.linalg.norm(half, axis=2)
-    matt = np.where(cosine > HIGHLIGHT * np.linalg.norm(fit.normals, axis=1), np.nan, photographs)
+    matt = np.where(may_shine(lamps, fit.normals), np.nan, photographs)
     few = np.isfinite(matt).sum(axis=0) < FEWEST_LAMPS
     matt[:, few] = photographs[:, few]
     left, known = (np.isfinite(each).sum(axis=1) for each in (matt, photographs))

@@ -22,6 +22,7 @@ from nishiki.photometric.lambert_fit import (
     GRAZING,
     KINK,
     Fit,
+    dot_lamps,
     fit_lambert,
     median_of_lights,
     none_where_undetermined,
@@ -51,6 +52,11 @@ LEAST_MATT = 0.25  # of a lamp's samples that hold no gloss: of fewer, its stren
 AGREEING = 1.4  # factor between the widths with and without the samples that may hold gloss
 EXPLAINED = 0.9  # of the robust misfit that near lamps leave: a wrong law of reflection reached .96
 LEAST_TURN_DEG = 2.5  # by which far lamps turn the normals in the median: gloss on a flat object reached 2.1
+FEWEST_JUDGED = 8  # photographs, among which one stands out: of 5 to 7, sound ones did
+# angle between a photograph's lamp as listed and as it shows: sound ones of measured sets reached 5.6 degrees
+STRANGE_DEG, DOUBTED = 6.0, 3.0  # and its standard errors: it is compared with the usual angle, too
+STRANGE_TURN, MISFITTING = 4.5, 2.0  # times the usual angle and misfit: sound ones of these sets reached 4.6 and 4.3
+STRANGE_MISFIT = 10.0  # times the usual misfit, whatever the angle
 LAW_ERROR = 0.1  # of the width, by which rough and glossy matter shift it: 0 to 0.2 under a ring of lamps
 SURE = 5.0  # standard errors at which a difference counts: once in two million by chance
 
@@ -76,10 +82,26 @@ class Consistency:
     ambient: float  # ambient, ambient_sigma: offset that all photographs share, and its standard error
     ambient_sigma: float
     gain_covariance: np.ndarray  # (lights, lights) float64: of the gains
+    matt: np.ndarray  # (lights,) float64: share of the pixels that are further than HIGHLIGHT from the mirror direction
 
     def holds(self, directions: np.ndarray) -> bool:
         """Check whether Lambert's law predicts the photographs well enough to conclude anything from its parameters."""
         return bool(np.nanmedian(self.residual) < LARGEST_MISFIT) and is_even(self.gain, directions)
+
+    def find_strangers(self, directions: np.ndarray) -> dict[int, float]:
+        """Find photographs that contradict the others: of another thing, lamp, place or coding.
+
+        By number, the angle in degrees between the lamp of directions (lights, 3) and the one that explains the
+        photograph best. Gloss does the same near the mirror direction: what shows little else is not judged.
+        """
+        if len(directions) < FEWEST_JUDGED or not self.holds(directions):
+            return {}
+        angle = np.degrees(np.arccos(np.clip((self.direction * directions).sum(axis=1), -1, 1)))
+        misfit = self.residual / np.nanmedian(self.residual)
+        turned = (angle > STRANGE_TURN * np.nanmedian(angle)) & (angle > DOUBTED * self.direction_sigma_deg)
+        strange = (turned & (misfit > MISFITTING)) | (misfit > STRANGE_MISFIT)
+        found = np.flatnonzero(strange & (angle > STRANGE_DEG) & (self.matt > LEAST_MATT))
+        return {int(j): float(angle[j]) for j in found}
 
 
 @none_where_undetermined
@@ -220,8 +242,7 @@ def _compare(
     count = len(values)
     albedo = np.linalg.norm(fit.normals, axis=1)
     predictions = values - fit.alone - fit.ambient * albedo
-    offset, offset_sigma = np.full((2, count), np.nan)
-    residual, sigma_deg = np.full((2, count), np.nan)
+    offset, offset_sigma, residual, sigma_deg = np.full((4, count), np.nan)
     found = np.full((count, 3), np.nan)
     used = fit.weights > 0
     judged = used.sum(axis=1) >= FEWEST_PIXELS
@@ -247,8 +268,9 @@ def _compare(
     dark = (fit.gains + SURE * sigma < FAINT) & (level < FAINT * np.nanmedian(level))
     failed = tuple(np.flatnonzero(dark).tolist())
     repeats = _repeated(values, predictions, residual, failed)
-    shown = (residual, fit.gains, sigma, offset, offset_sigma, found, sigma_deg)
-    return Consistency(*shown, failed, repeats, *ambient, fit.covariance)
+    shown = residual, fit.gains, sigma, offset, offset_sigma, found, sigma_deg
+    matt = 1 - may_shine(directions.reshape(count, -1, 3), fit.normals).mean(axis=1)
+    return Consistency(*shown, failed, repeats, *ambient, fit.covariance, matt)
 
 
 def _repeated(
@@ -269,11 +291,8 @@ def _repeated(
 def _differences(values: np.ndarray) -> np.ndarray:
     """Compute the mean difference (lights, lights) of photographs of equal median, relative to it; diagonal: inf."""
     level = values / np.maximum(np.nanmedian(values, axis=1, keepdims=True), 1e-300)
-    table = np.full((len(values), len(values)), np.inf)
-    for i, row in enumerate(level):
-        table[i] = np.nanmean(np.abs(level - row), axis=1)
-        table[i, i] = np.inf
-    return np.where(np.isfinite(table), table, np.inf)
+    table = np.nanmean(np.abs(level[:, None] - level), axis=2)
+    return np.where(np.isfinite(table) & ~np.eye(len(level), dtype=bool), table, np.inf)
 
 
 @dataclass(frozen=True)
@@ -328,7 +347,7 @@ def measure_width(values: np.ndarray, vectors: np.ndarray) -> NearLamps | None:
         return None
     unit = float(np.median(np.linalg.norm(vectors, axis=1)))
     vectors = vectors / unit
-    directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
+    directions = _unit(vectors)
     rows, columns = values.shape[1:]
     row, column = np.divmod(places, columns)
     x = np.column_stack([(column + 0.5) / columns - 0.5, (rows / 2 - row - 0.5) / columns, np.zeros(len(row))])
@@ -338,9 +357,7 @@ def measure_width(values: np.ndarray, vectors: np.ndarray) -> NearLamps | None:
         return None
     far, first = fit_lambert(chosen, directions, patches), near.width
     if near.width > SURE * near.width_sigma:
-        halves = np.add(directions, (0.0, 0.0, 1.0))
-        halves /= np.linalg.norm(halves, axis=1, keepdims=True)
-        matt = np.where(halves @ _unit(near).T > HIGHLIGHT, np.nan, chosen)
+        matt = np.where(may_shine(directions[:, None], near.normals), np.nan, chosen)
         matt[np.isfinite(matt).mean(axis=1) < LEAST_MATT] = np.nan
         usable = np.isfinite(matt).sum(axis=0) > FEWEST_LAMPS
         if usable.sum() < FEWEST_PIXELS:
@@ -349,7 +366,7 @@ def measure_width(values: np.ndarray, vectors: np.ndarray) -> NearLamps | None:
         near, far = fit_lambert(chosen, vectors, patches, places=x), fit_lambert(chosen, directions, patches)
     scale = np.minimum(near.scale, far.scale)
     cost = [np.nanmean(np.log1p((_residuals(fit) / (KINK * scale)) ** 2)) for fit in (far, near)]
-    before, after = _unit(far), _unit(near)
+    before, after = _unit(far.normals), _unit(near.normals)
     turned = np.degrees(np.arccos(np.clip((before * after).sum(axis=1), -1, 1)))
     slopes = [-n[:, :2] / np.maximum(n[:, 2:], STEEPEST) for n in (before, after)]
     middle = x[:, :2] - x[:, :2].mean(axis=0)
@@ -367,8 +384,14 @@ def measure_width(values: np.ndarray, vectors: np.ndarray) -> NearLamps | None:
     )
 
 
-def _unit(fit: Fit) -> np.ndarray:
-    return fit.normals / np.linalg.norm(fit.normals, axis=1, keepdims=True)
+def may_shine(lamps: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Find the values (lights, pixels) near the mirror direction of lamps (lights, pixels or 1, 3)."""
+    halves = _unit(np.add(_unit(lamps), (0.0, 0.0, 1.0)))
+    return dot_lamps(halves, _unit(normals)) > HIGHLIGHT
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def _residuals(fit: Fit) -> np.ndarray:

@@ -40,9 +40,8 @@ def contact_sheet(judgement: Judgement, problems: Sequence[Problem], title: str)
         blocks.append("Nothing can be predicted here: too few lamps, too few pixels with light, or a mirror.")
     sheet = Section("photographs", "Photographs, the odd ones first", [KEY, UNITS, Figures(figures, columns=4)])
     said = Section("problems", "What was found", blocks or ["Nothing."])
-    return render_page(
-        Page(title, "The photographs against each other", [said, sheet], PROJECT_VERSION, "./nishiki check")
-    )
+    subtitle = "The photographs against each other"
+    return render_page(Page(title, subtitle, [said, sheet], PROJECT_VERSION, "./nishiki check"))
 
 
 def _shown_directions(judgement: Judgement) -> np.ndarray:
@@ -68,7 +67,8 @@ def _rate(judgement: Judgement) -> np.ndarray:
     if found is not None:
         marks = marks + np.abs(np.log(np.maximum(found.gain, 1e-3))) / HALF_AS_STRONG
         marks = marks + np.abs(np.nan_to_num(found.offset)) / ROOM_LIGHT
-        marks[[*found.failed, *(pair[0] for pair in found.repeats)]] += 1000
+        strangers = found.find_strangers(judgement.directions)
+        marks[[*found.failed, *(pair[0] for pair in found.repeats), *strangers]] += 1000
     return np.round(marks, 2)  # below that the order of the photographs stays
 
 

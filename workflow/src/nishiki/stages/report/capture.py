@@ -33,9 +33,7 @@ def capture_section(
     blocks: list[Block] = ["Ingest had nothing to warn of."]
     if diagnostics["warnings"]:
         blocks = [Note(["Ingest warned:"]), Note(diagnostics["warnings"], listed=True, warning=True)]
-    caption = (
-        "Seen from the camera; the rings are 30°, 60° and 90° from the normal of the plane. Filled: used for the fits."
-    )
+    caption = "Seen from the camera; rings: 30°, 60° and 90° from the normal of the plane. Filled: used for the fits."
     if "check" in kinds:
         caption += " Open circles: check lights, kept from all fits."
     if "held out" in kinds:
@@ -72,9 +70,7 @@ def _corrected(corrections: dict[str, Any]) -> Table | None:
             rows.append((name, moved, gain, "; ".join(said)))
     if not rows:
         return None
-    caption = (
-        "Photographs that were put right, or left out, as they were before: movement in pixels, strength of the lamp."
-    )
+    caption = "Photographs put right or left out, as they were before: movement in pixels, strength of the lamp."
     return Table(["Light", "moved by", "strength", "what was done"], rows, "lrrl", caption)
 
 

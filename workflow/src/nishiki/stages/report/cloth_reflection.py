@@ -204,7 +204,7 @@ def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
     blocks.append(Table(("model", *columns), peaks, align[:-2], caption, marked=marked))
     if drawing := error_chart(held, default):
         blocks.append(Figures([Figure("Relative error", "against the incidence of the light.", svg=drawing)], 1))
-    blocks.append("Each incidence of every model is a row of `evaluation.csv`.")
+    blocks.append("Each incidence of every model is a row of evaluation.csv.")
     return blocks
 
 

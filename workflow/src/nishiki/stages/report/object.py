@@ -202,7 +202,7 @@ def views_section(data: SceneData) -> Section:
         f"Left out of carving, fits and residual, and predicted: {', '.join(left_out)}."
         if left_out
         else "No view was left out, so nothing is said here of views that were not captured.",
-        "Each picture of every view is a row of `evaluation.csv`.",
+        "Each picture of every view is a row of object_evaluate/evaluation.csv.",
     ])  # fmt: skip
 
 
@@ -221,13 +221,9 @@ SEPARATION = (
 def separation_section(data: SceneData) -> Section:
     """Write the results of polarisation separation, with the first pictures that the stage drew."""
     polarise = data.inputs["polarise"]
-    shown = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_PICTURES]
+    shown, path = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_PICTURES], polarise.path
     items = [
-        Figure(
-            f"View {view}: all light, diffuse, specular",
-            "",
-            file_picture(polarise.path(file).read_bytes(), data.widest),
-        )
+        Figure(f"View {view}: all light, diffuse, specular", "", file_picture(path(file).read_bytes(), data.widest))
         for file, view in shown
     ]
     return Section("separation", "Separation", [Table((), separation(polarise.diagnostics), "wr"), Figures(items)])
@@ -294,9 +290,8 @@ def turn_plot(centres: np.ndarray, names: list[str], held_out: set[str], axis=No
     directions = outwards @ (frame * np.linalg.det(frame)).T
     directions[:, 1:] *= 1 if directions[:, 2].sum() >= 0 else -1  # seen from the side of the cameras
     kinds = ["held out" if name in held_out else "sample" for name in names]
-    return lights_plot(
-        directions, names, kinds, title="directions of the cameras, about the axis of the turn", sides=()
-    )
+    title = "directions of the cameras, about the axis of the turn"
+    return lights_plot(directions, names, kinds, title=title, sides=())
 
 
 def geometry_section(data: SceneData) -> Section:
