@@ -59,12 +59,11 @@ from nishiki.photometric.consistency import (
     SURE,
     Consistency,
     examine_photographs,
-    law_errors,
-    split_course,
+    probable_strengths,
 )
 from nishiki.photometric.lambert_fit import solve_normals
 
-UNEQUAL = 0.08  # spread of log strengths about a linear course over the directions, as no equal lamps have shown
+UNEQUAL = 0.06  # deviation of probable log strengths: equal lamps of measured sets reached .056
 ODD_EXPOSURE = 0.1  # of the brightness that a recorded exposure may be off: cameras round to thirds of a stop
 AMBIENT_BIAS = 0.2  # of the estimated light of the room, by which it was off on six measured sets (rms .14)
 
@@ -162,10 +161,9 @@ def _choose_gains(
 ) -> tuple[np.ndarray, np.ndarray | None, list[Problem]]:
     """Choose lamp strengths where neither boards nor intensities give them; warn of contradicting exposures.
 
-    Strengths that rise with the direction of the lamp are like a tilt of the object, and like matter that does not
-    follow Lambert's law: they alone are no evidence. On a grey sphere under equal lamps they reach 17 %, and would turn
-    its normals by 7 degrees. Also returns the covariance (lights, lights) of the log strengths, None where none are
-    applied.
+    Gains that rise with the direction of the lamp are like a tilt of the object, and like matter that does not follow
+    Lambert's law: on a grey sphere under equal lamps they reach 17 %, and would turn its normals by 7 degrees. Also
+    returns the covariance (lights, lights) of the log strengths, None where none are applied.
     """
     frames, ones = capture.observed, np.ones(len(found.gain))
     off = np.abs(found.gain - 1)
@@ -179,22 +177,19 @@ def _choose_gains(
         said = f"{odd.sum()} of {len(frames)} photographs, {frames[j].file} most, by {100 * (found.gain[j] - 1):+.0f} %"
         remedy = "Check the columns exposure_s, f_number and iso of frames.csv"
         problems.append(warning("exposure-disagrees", "frames.csv", what, found=said, remedy=remedy))
-    if capture.frames_of("white") or capture.intensities is not None or not significant.any():
+    if capture.frames_of("white") or capture.intensities is not None or len(off) <= 4:
         return ones, None, problems
-    if len(off) <= 4 or split_course(found.gain, capture.directions)[1].std() < UNEQUAL:
+    logs, covariance = probable_strengths(found, capture.directions)
+    if logs.std() < UNEQUAL:
         return ones, None, problems
-    gains = np.where(significant, found.gain, 1.0)
-    course, rest = law_errors(float(np.nanmedian(found.residual)), capture.directions)
-    covariance = found.gain_covariance / np.outer(found.gain, found.gain) + course + rest * np.eye(len(off))
-    rows = zip(frames, found.gain, found.gain_sigma, strict=True)
-    texts = [f"{frame.light} {gain:.2f} {error_text(sigma, 2)}" for frame, gain, sigma in rows]
-    said = name_some(texts[j] for j in np.flatnonzero(significant))
-    remedy = "Photograph a white board under every lamp"
+    gains, sigma = np.exp(logs), np.sqrt(np.diag(covariance))
+    texts = [f"{f.light} {g:.2f} {error_text(s, 2)}" for f, g, s in zip(frames, gains, gains * sigma, strict=True)]
+    said = name_some(texts[j] for j in np.argsort(-np.abs(logs)))
+    what, remedy = "the lamps are not equally strong", "Photograph a white board under every lamp"
     if wishes.gains == "never":
-        gains, covariance, what = ones, None, "the lamps are not equally strong"
         remedy += ", or set ingest.correct.gains: auto"
-    else:
-        what = "the lamps are not equally strong; their strengths are estimated from the photographs"
+        return ones, None, [*problems, warning("lamps-unequal", "frames.csv", what, found=said, remedy=remedy)]
+    what += "; their strengths are estimated from the photographs"
     return gains, covariance, [*problems, warning("lamps-unequal", "frames.csv", what, found=said, remedy=remedy)]
 
 
@@ -311,7 +306,7 @@ def write_observations(
         problems += frame_problems(frame, counts[j], float(found[j][4]), reader)
     defect = darks.defect | gains.defect
     gain = gains.gain / corrections.gains.astype(np.float32)[:, None, None, None]
-    arrays = {"mask": mask, "gain": gain, "dark": darks.for_frames(capture.observed)}
+    arrays: dict[str, np.ndarray] = {"mask": mask, "gain": gain, "dark": darks.for_frames(capture.observed)}
     labels, label_warnings = region_numbers(capture, size, reader.region)
     if labels is not None:
         arrays["regions"] = labels

@@ -45,6 +45,8 @@ EVEN_FLOOR = 0.8  # the same of the darkest shadows where few values lie behind 
 LEAST_GAIN = 0.02  # of a lamp's strength that is put right: less turns normals by a tenth of a degree
 LAW_COURSE, LAW_REST = 3.0, 1.5  # times the misfit of the law: deviation of log strengths that equal lamps seem to have
 # (rms of six measured sets), of the part that is linear over the directions, and of the rest
+MOST_UNEQUAL, STEPS = 10.0, 50  # variance of log strengths of which nothing is known; the estimate then stands still
+MEDIAN_OF_SQUARES = 0.455  # of a normal variable of variance 1
 MOST_COURSE = 0.5  # deviation of log strengths that are linear over the directions: 1.1 on metal, <= .12 elsewhere
 LARGEST_MISFIT = 0.1  # of the brightness: where the photographs are predicted worse, nothing is concluded from them
 HIGHLIGHT = np.cos(np.radians(20.0))  # between normal and half vector: broader gloss is as good as diffuse
@@ -227,6 +229,28 @@ def law_errors(misfit: float, directions: np.ndarray) -> tuple[np.ndarray, float
     """
     linear = np.linalg.qr(directions - directions.mean(axis=0))[0]
     return (LAW_COURSE * misfit) ** 2 * len(directions) / 3 * linear @ linear.T, (LAW_REST * misfit) ** 2
+
+
+def probable_strengths(found: Consistency, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Estimate log strengths (lights,) of median 0 and their covariance (lights, lights) from the measured gains.
+
+    Gains err by their covariance and by deviations from the law; photographs that show little but gloss tell nothing.
+    Most lamps are equal and some are not: log strengths follow Student's t with 2 degrees of freedom, whose scale is
+    estimated too, by expectation and maximisation (Lange, Little and Taylor, 1989).
+    """
+    logs = np.log(found.gain)
+    course, rest = law_errors(float(np.nanmedian(found.residual)), directions)
+    unknown = np.where(found.matt < LEAST_MATT, MOST_UNEQUAL, rest)
+    errors = found.gain_covariance / np.outer(found.gain, found.gain) + course + np.diag(unknown)
+    variance = np.full(len(logs), MOST_UNEQUAL)
+    for _ in range(STEPS):
+        weights = np.linalg.inv(np.diag(variance) + errors)
+        strengths = variance * (weights @ (logs - (weights @ logs).sum() / weights.sum()))
+        covariance = np.diag(variance) - variance[:, None] * weights * variance
+        moments = strengths**2 + np.diag(covariance)
+        scale = max(float(np.median(moments)) / MEDIAN_OF_SQUARES, LEAST_GAIN**2)
+        variance = (moments + 2 * scale) / 3
+    return strengths - np.median(strengths), covariance
 
 
 def is_even(gains: np.ndarray, directions: np.ndarray) -> bool:
