@@ -136,18 +136,16 @@ def test_yarns_touch_where_they_cross(binding):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("theta_deg", [0, 30, 60, 75])
-@pytest.mark.parametrize("binding", [PLAIN, TWILL, SATIN])
+@pytest.mark.parametrize("theta_deg", [0, 30, 60, 75, 85])
+@pytest.mark.parametrize("binding", [PLAIN, TWILL, SATIN, Binding(7, 1, 3)])
 def test_what_is_seen_fills_the_view_from_everywhere(binding, theta_deg):
     """The visible surface, projected towards any direction, covers the cloth's own projection exactly once."""
-    points, _ = yarns(binding).points(1200)
+    points, _ = yarns(binding).points(9600)
     for phi_deg in (0, 40, 90):
         towards = unit(np.radians(theta_deg), np.radians(phi_deg))
         cosine = towards @ points[:3]
         seen = let_through(points, towards, 0.01)
-        assert np.sum(points[9] * seen * np.maximum(cosine, 0)) / towards[2] == pytest.approx(
-            1, abs=0.06 if theta_deg < 70 else 0.1
-        )
+        assert np.sum(points[9] * seen * np.maximum(cosine, 0)) / towards[2] == pytest.approx(1, abs=0.05)
 
 
 def test_reflection_is_reciprocal_and_dark_below_the_horizon():
@@ -242,8 +240,8 @@ def test_few_points_reflect_as_many_do():
     i, o = unit(np.radians([0.0, 45, 75, 75]), np.radians([0.0, 0, 0, 90])), unit(np.radians(50.0), np.radians(200.0))
     for binding in (PLAIN, SATIN):
         weave = yarns(binding)
-        few, many = (weave.parts(i, np.tile(o, (4, 1)), weave.points(density)) for density in (COARSE, 3000))
-        np.testing.assert_allclose(few.sum(axis=1), many.sum(axis=1), rtol=0.1)
+        few, many = (weave.parts(i, np.tile(o, (4, 1)), weave.points(density)) for density in (COARSE, 20000))
+        np.testing.assert_allclose(few.sum(axis=1), many.sum(axis=1), rtol=0.05)
 
 
 def test_spread_samples_lie_far_from_each_other_and_from_mirror_images():
@@ -256,7 +254,7 @@ def test_spread_samples_lie_far_from_each_other_and_from_mirror_images():
 
 def truth_of(weave, views, body=0.05):
     flat = np.ascontiguousarray(views.reshape(-1, 3))
-    terms = weave.parts(np.tile([0, 0, 1.0], (len(flat), 1)), flat, weave.points(400))
+    terms = weave.parts(np.tile([0, 0, 1.0], (len(flat), 1)), flat, weave.points(2400))
     return (terms[:, :1] + terms[:, 2:3] + body * (terms[:, 1:2] + terms[:, 3:])).reshape(*views.shape[:-1], 1)
 
 
@@ -269,7 +267,7 @@ def measured_of(weave, *, body=0.05, normal_only=False):
         aside = unit(theta.ravel(), phi.ravel())
         for lamp in unit(np.radians([30.0, 60.0]), np.radians([0.0, 90.0])):
             views, light = np.concatenate([views, aside]), np.concatenate([light, np.tile(lamp, (len(aside), 1))])
-    terms = weave.parts(light, views, weave.points(400))
+    terms = weave.parts(light, views, weave.points(2400))
     values = terms[:, :1] + terms[:, 2:3] + body * (terms[:, 1:2] + terms[:, 3:])
     return Measured(light, views, values, light[:, 2] > 0.9999, True)
 

@@ -27,7 +27,7 @@ CENTRE = np.array([
     np.log(1.2), 2.9, 2.2, np.log(0.55), np.log(0.55), -0.4, np.log(0.6), 0.0, 1.1, np.log(0.12), np.log(0.28),
     np.log(0.12), np.log(0.28), 0.0, 0.0,
 ])  # fmt: skip
-SPREAD = np.array([0.25, 0.7, 0.7, 0.4, 0.4, 0.7, 0.2, 0.01, 1.5, *FACETS])
+SPREAD = np.array([0.25, 0.7, 0.7, 0.4, 0.4, 0.7, 0.2, 0.015, 1.5, *FACETS])
 LOGITS, ARCH = (1, 2, 5, 8, 14), 7
 GEOMETRY = 9  # the first ones, which the surface depends on
 COUNTED = 0.02  # relative error of a ratio of spacings from counted threads
@@ -41,9 +41,9 @@ USUAL = {  # woven most: plain, twills of three and four, satins of five and eig
 UNUSUAL, RARE = 6.0, 10.0  # what bindings known from cloth, and all others, have to gain in cost: odds 20, 150
 LIKE = 6.0  # of the cost within which bindings are not told apart
 LAST = 3  # harnesses in a row that cost 2 LIKE more than the least: longer repeats are not tried
-FIRST, SHORT, LONG = 2, (60, 4), (100, 25)  # views of normal incidence, and steps of a fit
+FIRST, SHORT, NEXT, LONG = 2, (60, 4), 6, (100, 25)  # steps of a fit, beside views of normal incidence
 STEEPEST = np.radians(85.0)  # views at more are left out: masking of single yarns decides
-REFINED = 3  # bindings that are fitted on: of a harness after FIRST steps, of all after SHORT
+REFINED = 2, 5, 3  # bindings that are fitted on: of a harness after FIRST steps, of all after SHORT and after NEXT
 UNEXPLAINED = 0.6  # of the variation: beyond it the yarns explain less than two thirds of the variance
 OPEN, NARROW = 0.7, 0.15  # not determined: more of the prior's spread is left, and of the value to either side
 
@@ -227,6 +227,10 @@ def search_yarns(
     """
     fit = partial(fit_binding, spacing_ratio=spacing_ratio)
     few = samples_of(measured, views=SHORT[0])
+
+    def on(one: YarnFit, evaluations: int) -> YarnFit:
+        return fit(few, one.binding, start=one.x, density=COARSE, evaluations=evaluations)
+
     short: list[YarnFit] = []
     least, since = np.inf, 0
     by_harness: dict[int, list[Binding]] = {}
@@ -234,17 +238,17 @@ def search_yarns(
         by_harness.setdefault(binding.harness, []).append(binding)
     for same in by_harness.values():
         fits = sorted((fit(few, one, density=COARSE, evaluations=FIRST) for one in same), key=lambda one: one.cost)
-        fits[:REFINED] = [
-            fit(few, one.binding, start=one.x, density=COARSE, evaluations=SHORT[1]) for one in fits[:REFINED]
-        ]
+        fits[: REFINED[0]] = [on(one, SHORT[1]) for one in fits[: REFINED[0]]]
         short += fits
         cost = min(one.cost for one in fits)
         least, since = min(least, cost), since + 1 if cost > least + 2 * LIKE else 0
         if since == LAST:
             break
     short.sort(key=lambda one: one.cost)
+    short[: REFINED[1]] = [on(one, NEXT) for one in short[: REFINED[1]]]
+    short.sort(key=lambda one: one.cost)
     many = samples_of(measured, views=LONG[0])
-    long = [fit(many, one.binding, start=one.x, evaluations=LONG[1]) for one in short[:REFINED]]
+    long = [fit(many, one.binding, start=one.x, evaluations=LONG[1]) for one in short[: REFINED[2]]]
     long.sort(key=lambda one: one.cost)
     like = [one for one in long if one.cost < long[0].cost + LIKE]
     best = next((one for one in like if one.binding in USUAL), long[0])

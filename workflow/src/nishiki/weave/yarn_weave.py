@@ -40,7 +40,7 @@ HOLE = -9.0  # height where no yarn lies
 HORIZON = 10  # column of a point after those of `yarn_facets.NORMAL`: angle of the horizon in the first of AZIMUTHS
 AZIMUTHS = 24
 EVERY = np.ones(AZIMUTHS, bool)
-SHORTEST, GROWTH, STEPS = 0.04, 1.26, 20  # of a ray over the surface, in spacings: to 3.2
+SHORTEST, GROWTH, STEPS = 0.04, 1.12, 52  # of a ray over the surface, in spacings: to 13, for floats are long
 NEARER, NEAR = 6, 1e-3  # most steps to the place of the middle that a point belongs to; the last one, in spacings
 STEEPEST = 20.0  # slope to which the sides of a section are followed
 REACHED = 2  # crossings to either side that count where a yarn changes sides
@@ -152,16 +152,16 @@ def height_field(x, y, form, height, is_warp):
 @njit(cache=True, nogil=True, error_model="numpy")
 def _looked_up(x, y, form, table):
     """Look up the height in the table; the columns beside it are the same, moved along by the step of the weave."""
-    rows, columns = table.shape
+    rows, columns = table.shape[0] - 1, table.shape[1] - 1
     place = (x + 0.5) / form.together
     group = math.floor(place)
     along = (y / form.ratio - form.step * group) / form.up.shape[0]
-    along = (along - math.floor(along)) * columns
-    k = min(int((place - group) * rows), rows - 1)
-    j = int(along)
-    share = along - j
-    j = j if j < columns else 0
-    return table[k, j] * (1.0 - share) + table[k, j + 1 if j + 1 < columns else 0] * share
+    across, along = (place - group) * rows, (along - math.floor(along)) * columns
+    k, j = min(int(across), rows - 1), min(int(along), columns - 1)
+    beside, share = across - k, along - j
+    near = table[k, j] * (1.0 - share) + table[k, j + 1] * share
+    far = table[k + 1, j] * (1.0 - share) + table[k + 1, j + 1] * share
+    return near * (1.0 - beside) + far * beside
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -265,7 +265,7 @@ def weave_sums(incident, outgoing, surface, facets, soft, out):
             out[k, 2 * family + 1] = scale * add_up(body, scratch) / math.pi
 
 
-POINTS, COARSE = 180, 96  # places where a warp yarn crosses a weft yarn
+POINTS, COARSE = 2160, 768  # places over a repeat of a yarn, however short: 200 were too few for twills
 GOLDEN = 0.5 * (5**0.5 - 1)  # their step across the warp yarn: so they lie evenly however many they are
 GAP = 0.12  # share of places, of either system, that lie on the gaps between yarns
 SOFT = 0.05  # radians over which a horizon lets through: enough for smooth sums, and grazing light is not lost
@@ -405,19 +405,19 @@ class YarnWeave:
     def points(self, density: int = POINTS, needed: np.ndarray = EVERY):
         """Compute points of the columns that stand for the cloth and their horizons, in lanes; see `in_lanes`.
 
-        density: places where two yarns cross; needed: (AZIMUTHS,) horizons to be computed, see `horizons_of`; the
+        density: places over a repeat of each yarn; needed: (AZIMUTHS,) horizons to be computed, see `horizons_of`; the
         others are level.
         """
         q, harness, together, form = self.spacing_ratio, self.binding.harness, self.binding.together, self.form
-        number = np.arange(density * harness * together)
-        along, across = (number + 0.5) / density / together, number * GOLDEN % 1.0 * together
+        number = np.arange(density * together)
+        along, across = (number + 0.5) / number.size * harness, number * GOLDEN % 1.0 * together
         x, wide = _over_a_yarn(across % 1.0, form.half_width[0], 1.0)
         y, long = _over_a_yarn(along % 1.0, form.half_width[1], q)
         places = np.stack([x + np.floor(across), y + q * np.floor(along), wide * long / number.size], axis=1)
         rows, columns = together * TABLE[0], harness * TABLE[1]
-        x = (np.arange(rows) + 0.5) / rows * together - 0.5
-        y = np.arange(columns) / columns * form.up.shape[0] * form.ratio
-        heights = np.empty((columns, rows))
+        x = np.arange(rows + 1) / rows * together - 0.5
+        y = np.arange(columns + 1) / columns * form.up.shape[0] * form.ratio
+        heights = np.empty((columns + 1, rows + 1))
         height_field(x, y, form, heights, np.empty(heights.shape, np.bool_))
         table = np.ascontiguousarray(heights.T)
         points, which = np.zeros((2 * len(places), HORIZON + AZIMUTHS)), np.empty(2 * len(places), np.int64)
@@ -445,7 +445,7 @@ class YarnWeave:
 
         Also the weft's share of the surface visible from above.
         """
-        points, split = self.points(10 * POINTS, ~EVERY)
+        points, split = self.points(5 * POINTS, ~EVERY)
         weight = points[WEIGHT] * points[2]
         weight /= weight.sum()
         out = {}

@@ -24,7 +24,7 @@ FACETS, YARNS = "yarn_facets", "yarns"
 BEST = (YARNS, FACETS)  # what `auto` chooses among
 PUBLISHED = {law.KIND: law for law in (LinearBard, GreatCircleBard)}  # they read the table of normal incidence
 MODELS = (*BEST, *PUBLISHED)
-YARNS_MISS = 0.03  # relative rms at normal incidence that masking leaves: what is beyond it is taken for the facets'
+YARNS_MISS = 0.02  # relative rms at normal incidence that masking leaves: what is beyond it is taken for the facets'
 
 
 @dataclass(frozen=True)

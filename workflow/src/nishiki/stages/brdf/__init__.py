@@ -125,7 +125,7 @@ CLOTH_LIMITS = (
 Model = Literal["yarns", "yarn_facets", "bard_linear", "bard_great_circle"]
 
 
-class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=6, limits=CLOTH_LIMITS):
+class ClothBrdfSettings(Guarded, stage="cloth_brdf", version=7, limits=CLOTH_LIMITS):
     """The BRDF of the whole hemisphere of every region, from normal incidence and a few oblique measurements."""
 
     model: Literal["auto", Model] = Field(

@@ -21,7 +21,7 @@ LIMITS = (
 )
 
 
-class WeaveSettings(Guarded, stage="weave", version=9, limits=LIMITS):
+class WeaveSettings(Guarded, stage="weave", version=10, limits=LIMITS):
     """Cross-sections of a cloth from its reflectances in the planes of warp and weft."""
 
     reading: Literal["paper", "shaded"] = Field(
