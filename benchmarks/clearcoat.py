@@ -44,7 +44,7 @@ class Coated:
     coat: np.ndarray | float
     rough: np.ndarray | float
 
-    def shown(self, colours: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+    def render(self, colours: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
         """As `GltfMaterial.shown`."""
         half = (light + UP) / np.linalg.norm(light + UP)
         cos_i, cos_r, cos_phi = (np.maximum(normals @ each, 0) for each in (light, UP, half))
@@ -52,7 +52,7 @@ class Coated:
         below = self.base.base_colour(albedo / (1 - COAT * np.expand_dims(self.coat, -1)))
         fresnel = self.coat * (COAT + (1 - COAT) * (1 - half[2]) ** 5)
         coat = np.pi * fresnel * isotropic_lobe(cos_phi, cos_i, cos_r, np.square(self.rough)) * cos_i
-        return np.expand_dims(1 - fresnel, -1) * self.base.shown(below, normals, light) + coat[:, None]
+        return np.expand_dims(1 - fresnel, -1) * self.base.render(below, normals, light) + coat[:, None]
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ def fitted(plain: GltfMaterial, lobes: np.ndarray, albedo: float) -> tuple[np.nd
 
     def difference(x: np.ndarray) -> np.ndarray:
         coated = Coated(plain, GltfMaterial(x[0], x[1], plain.index), x[2], x[3])
-        shown = [coated.shown(colour, UP[None], light)[0, 0] for light in lights]
+        shown = [coated.render(colour, UP[None], light)[0, 0] for light in lights]
         return weights * (np.clip(encode(np.array(shown), "srgb"), 0, 1) - true)
 
     alone = difference(np.array([plain.roughness, plain.strength, 0, 0.5]))

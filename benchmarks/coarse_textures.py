@@ -34,7 +34,7 @@ from nishiki.observations.plane import Observations
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.look import GltfMaterial, PaintingLook, PaintingSurface, RegionGloss
 from nishiki.stages.export.registry import CodedErrors
-from nishiki.stages.export.scene import ExportedScene, Photographs, block_mean
+from nishiki.stages.export.scene import CodedPhotographs, ExportedScene, block_mean
 
 STAGES = ("ingest", "normals", "height", "spectra", "brdf")
 
@@ -73,7 +73,7 @@ class AnisotropicTexels:
     covariance: np.ndarray
     turned: bool
 
-    def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+    def render(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
         """As `GltfMaterial.shown`."""
         xx, xy, yy = self.covariance.T
         mean, half_difference = (xx + yy) / 2, (xx - yy) / 2
@@ -107,7 +107,7 @@ def coded(values: np.ndarray) -> np.ndarray:
 def linear_photographs(inputs: dict[str, Artifact], lights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(lights, rows, columns, 3) linear sRGB relative to a white that faces the lamp, and where they count."""
     frames = Observations(inputs["ingest"].folder)
-    matrix = Photographs(frames, ExportedScene(inputs)).matrix
+    matrix = CodedPhotographs(frames, ExportedScene(inputs)).matrix
     values = np.zeros((len(lights), *frames.shape, 3), np.float32)
     valid = np.zeros(values.shape[:-1], bool)
     for band in frames.bands():
@@ -121,7 +121,7 @@ def shown(
 ) -> np.ndarray:
     """(rows, columns, 3) linear light of every pixel's texel."""
     texels = look.texels(slice(0, shape[0]), shape[1])
-    return gloss.of(texels.rows, texels.columns).shown(texels.colours, texels.normals, light).reshape(*shape, 3)
+    return gloss.of(texels.rows, texels.columns).render(texels.colours, texels.normals, light).reshape(*shape, 3)
 
 
 def texel_means(values: np.ndarray, valid: np.ndarray, step: int) -> np.ndarray:

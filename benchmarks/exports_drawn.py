@@ -35,14 +35,14 @@ from nishiki.colour.colour import decode, encode
 from nishiki.evaluate.object_photographs import Photographs as ObjectPhotographs
 from nishiki.observations.plane import Observations
 from nishiki.render.cloth.scene import ClothScene
-from nishiki.render.cloth.studio import Lighting, RenderVariant, framed, render
+from nishiki.render.cloth.studio import Lighting, RenderVariant, frame_camera, render
 from nishiki.render.display import three_channels
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.cloth import LAMPS, VIEWS, ExportedCloth, fitted_cloth
 from nishiki.stages.export.look import PaintingSurface
-from nishiki.stages.export.object_look import SeenPoints, object_look, object_mesh, shown_in
+from nishiki.stages.export.object_look import SeenPoints, object_look, object_mesh, show_in
 from nishiki.stages.export.registry import METRES, CodedErrors
-from nishiki.stages.export.scene import ExportedScene, Photographs
+from nishiki.stages.export.scene import CodedPhotographs, ExportedScene
 
 FORMATS = {"three": ("gltf",), "materialx": ("materialx",), "blender": ("gltf", "usd")}
 FILES = {"gltf": "{}.glb", "usd": "{}.usdz", "materialx": "materialx/{}.mtlx"}
@@ -97,7 +97,7 @@ def paintings(program: str, folder: Path) -> Iterator[dict]:
     base = decode(look.colours.reshape(-1, 3) / 255, "srgb")
     normals = look.normals.reshape(-1, 3) / 255 * 2 - 1
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    photographs = Photographs(frames, scene)
+    photographs = CodedPhotographs(frames, scene)
     groups = {"fitted": frames.fit_lights(), "check": frames.check_lights()}
     for name in FORMATS[program]:
         file = latest(folder, "export", FILES[name].format("painting"))
@@ -112,7 +112,7 @@ def paintings(program: str, folder: Path) -> Iterator[dict]:
                 found = {against: CodedErrors(len(lights)) for against in AGAINST}
                 strips = [strip for band in frames.bands() for strip in photographs.strips(band, lights)]
                 for number, direction in enumerate(directions):
-                    formulas = coded(material.shown(base, normals, direction)).reshape(rows, columns, 3)
+                    formulas = coded(material.render(base, normals, direction)).reshape(rows, columns, 3)
                     for band, values, valid in strips:
                         counted = valid[number] & covered[number, band].ravel()
                         drawn, own = (each[band].reshape(-1, 3) for each in (pictures[number], formulas))
@@ -137,7 +137,7 @@ def objects(program: str, folder: Path, count: int) -> Iterator[dict]:
         file = latest(folder, "object_export", FILES[name].format("object"))
         if file is None:
             continue
-        shown, errors = shown_in(look, name), {against: CodedErrors(len(views)) for against in AGAINST}
+        shown, errors = show_in(look, name), {against: CodedErrors(len(views)) for against in AGAINST}
         apart = CodedErrors(len(views))
         for number, view in enumerate(views):
             points, camera = SeenPoints.of(look, view), decoded.cameras[view]
@@ -187,7 +187,7 @@ def cloths(folder: Path) -> Iterator[dict]:
     for elevation, azimuth in np.radians(VIEWS):
         size = {"rows": CLOTH_SIDE, "columns": CLOTH_SIDE, "distance": cloth.shown.view.distance}
         points = cloth.draped.surface.mesh.vertices
-        camera = framed(points, elevation=elevation, azimuth=azimuth, **size)
+        camera = frame_camera(points, elevation=elevation, azimuth=azimuth, **size)
         lamps = [Lighting(*np.radians(place), (1.0, 1.0, 1.0), 0.0).lamp(azimuth) for place in LAMPS]
         takes = [RenderVariant((brdf,), tuple(one)) for brdf in (material, cloth.brdf) for one in np.eye(len(lamps))]
         made = render(scene, takes, lamps, camera, supersampling=1, shadows=True)

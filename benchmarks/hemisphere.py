@@ -24,8 +24,8 @@ sys.path.insert(0, str(PROJECT / "scripts"))
 
 import _project  # noqa: E402, F401
 from nishiki.capture.goniometer_tables import is_table, read_table  # noqa: E402
-from nishiki.goniometry.directions import disc, images, reduced, unit  # noqa: E402
-from nishiki.goniometry.hemisphere import gathered  # noqa: E402
+from nishiki.goniometry.directions import disc, images, reduce_pairs, unit  # noqa: E402
+from nishiki.goniometry.hemisphere import gather_views  # noqa: E402
 from nishiki.goniometry.interpolation import fit_spline  # noqa: E402
 from nishiki.stages.goniometer_samples import GoniometerSamplesSettings  # noqa: E402
 
@@ -94,7 +94,7 @@ def folded(places: np.ndarray, folds: np.ndarray) -> np.ndarray:
 
 def judge(views: np.ndarray, values: np.ndarray, symmetry: np.ndarray, method: str, share: float, rounds: int):
     """Errors of the views left out, and seconds: medians over the rounds."""
-    points, logs, sigma, _ = gathered(disc(views), values, np.zeros_like(values))
+    points, logs, sigma, _ = gather_views(disc(views), values, np.zeros_like(values))
     results = []
     for seed in range(rounds):
         out = np.random.default_rng(seed).permutation(len(points)) < share * len(points)
@@ -124,7 +124,7 @@ def main() -> None:
             continue
         along = theta == 0
         if along:
-            views = reduced(np.tile([0.0, 0.0, 1.0], (len(views), 1)), views, "quarter")[1]
+            views = reduce_pairs(np.tile([0.0, 0.0, 1.0], (len(views), 1)), views, "quarter")[1]
         judge(views, values, quarter if along else mirror, default, 0.5, 1)  # imports and compiled code
         for share in SHARES:
             for method in ("spline", "linear"):

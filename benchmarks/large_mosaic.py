@@ -38,7 +38,7 @@ from nishiki.simulate.painting.photographs import make_tables
 from nishiki.simulate.painting.relief import shade
 from nishiki.simulate.painting.settings import (
     LampPose,
-    LightSettings,
+    LampSettings,
     SimulationSettings,
     make_palette,
     planck_spectrum,
@@ -147,7 +147,7 @@ def photograph_field(painting: Painting, field: dict, folder: Path, seed: int) -
     thing = SimulatedObject(height, label, painting.palette, waves, none, height, none, float(height.max()))
     settings = SimulationSettings(
         rows=rows, columns=columns, seed=seed, gloss="satin", pitch_mm=PITCH_MM, supersampling=1, bounce=False,
-        camera=CameraSettings(channels=3), lights=LightSettings(rings=2, ring_lights=4, top=True, distance_mm=1500.0),
+        camera=CameraSettings(channels=3), lights=LampSettings(rings=2, ring_lights=4, top=True, distance_mm=1500.0),
     )  # fmt: skip
     tables = make_tables(thing, settings, with_truth=False)
     fall = vignette(settings, slice(0, rows)).astype(np.float32)
@@ -225,7 +225,7 @@ def score(options: argparse.Namespace) -> None:
     maps, (heights,) = zarr.open_group(folder / "maps.zarr", mode="r"), (options.results / "height").glob("*/")
     expected = zarr.open_group(heights / "maps.zarr", mode="r")["expected_error"]
     lab = read_camera_colour(folder / "curves.npz", 3, maps.attrs["to_srgb"]).lab
-    paints = sensitivities(FINE_NM, 3) * planck_spectrum(FINE_NM, LightSettings().colour_temperature_k)
+    paints = sensitivities(FINE_NM, 3) * planck_spectrum(FINE_NM, LampSettings().colour_temperature_k)
     colours = (painting.palette.spectra @ (paints / paints.sum(axis=1, keepdims=True)).T).astype(np.float32)
     rows, columns = maps["flags"].shape
     angles, ratios, differences, inside = [], [], [], []

@@ -24,7 +24,7 @@ PROJECT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(PROJECT / "workflow/src"), str(PROJECT / "scripts")]
 
 from nishiki.capture.folder import load_capture  # noqa: E402
-from nishiki.installation import EXTRAS, MODULES, installed  # noqa: E402
+from nishiki.installation import EXTRAS, MODULES, is_installed  # noqa: E402
 from nishiki.observations.region import usage_of  # noqa: E402
 from nishiki.stages.table import PRODUCTS  # noqa: E402
 
@@ -176,7 +176,7 @@ def rounded(values: dict[str, float]) -> dict[str, float]:
 
 def packages(repeats: int) -> None:
     """What importing each heavy package costs a process that has numpy already; and what the command line loads."""
-    cases = {name: f"import {module}" for name, module in MODULES.items() if installed(name) and name != "numpy"}
+    cases = {name: f"import {module}" for name, module in MODULES.items() if is_installed(name) and name != "numpy"}
     cases["scikit-image"] = "from skimage.measure import marching_cubes"
     cases["scipy"] = "import scipy.optimize, scipy.sparse.linalg, scipy.spatial, scipy.ndimage"
     for name, code in {"numpy": "import numpy", **cases}.items():

@@ -31,7 +31,7 @@ from nishiki.observations.plane import Observations
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Light, PlaneScene
 from nishiki.stages.export.registry import CodedErrors
-from nishiki.stages.export.scene import ExportedScene, Photographs
+from nishiki.stages.export.scene import CodedPhotographs, ExportedScene
 from nishiki.stages.render.painting import load_scene
 
 STAGES = ("ingest", "normals", "height", "spectra", "brdf")
@@ -79,7 +79,7 @@ def largest_region(scene: PlaneScene) -> PlaneScene:
 def under_lamps(pictures: Pictures, exported: ExportedScene) -> dict:
     """Mitsuba's pictures beside ours."""
     everything = slice(0, exported.shape[0])
-    known, inside = exported.known(everything), exported.srgb(everything).min(axis=-1) >= 0
+    known, inside = exported.read_known(everything), exported.srgb(everything).min(axis=-1) >= 0
     found = {}
     for elevation in np.radians(ELEVATIONS):
         lamp = np.array([-np.cos(elevation), 0, np.sin(elevation)])
@@ -126,7 +126,7 @@ def against_photographs(
                 name: encode(np.maximum(make(lamp, relief=relief), 0), "srgb") for name, (make, relief) in ways.items()
             }
             for band in frames.bands():
-                for rows, values, valid in Photographs(frames, exported).strips(band, lights[number : number + 1]):
+                for rows, values, valid in CodedPhotographs(frames, exported).strips(band, lights[number : number + 1]):
                     for name, picture in shown.items():
                         errors[name].add(number, picture[rows].reshape(-1, 3), values[0].T, valid[0])
         found[group] = {name: round(each.decibels()["all"], 2) for name, each in errors.items() if len(lights)}

@@ -30,7 +30,7 @@ sys.path[1:1] = [str(PROJECT / "workflow" / "src"), str(PROJECT / "tests")]
 from brush_relief import PITCH_MM, VERTICES, noise, split, surface, vertex_normals  # noqa: E402
 from measured_paints import FINE, WAVELENGTHS, camera_curves, lamp_power, palette  # noqa: E402
 
-from nishiki.simulate.capture import Truth, write_csv, write_image  # noqa: E402
+from nishiki.simulate.capture import TruthWriter, write_csv, write_image  # noqa: E402
 
 BOARD = 0.96  # reflectance of the white board
 WHITE_LEVEL, BITS, BLACK = 0.65, 12, 32  # share of full scale of a white facing the lamp; of the converter
@@ -586,7 +586,7 @@ def write_truth(folder: Path, studio: Studio, height, label, rig, lights: dict, 
         "roughness": np.array([studio.painting.alpha], np.float32),
         **{name: np.array(values) for name, values in lights.items()},
     }
-    truth = Truth(folder)
+    truth = TruthWriter(folder)
     for name, values in arrays.items():
         truth.put(name, values)
     truth.group.attrs.update(

@@ -125,7 +125,7 @@ def score(name: str, folder: Path, scene: Path) -> dict:
         decoded.mesh, decoded.atlas.chart, decoded.cameras, decoded.lighting.as_dict(), decoded.residual.bytes
     )
     options = {
-        "mesh": cost.mesh.restored(decoded.mesh),
+        "mesh": cost.mesh.restore(decoded.mesh),
         "without": decoded.numbers(inputs["texels"].settings["hold_out"]),
     }
     renderer = decoded.renderer(**options)

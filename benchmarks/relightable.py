@@ -44,7 +44,7 @@ from nishiki.formats.banded_pictures import jpeg_bytes
 from nishiki.observations.plane import Observations
 from nishiki.stages.export.light_models import PrincipalModel, TabulatedModel
 from nishiki.stages.export.relight import SAMPLES, StoredModel, model_of
-from nishiki.stages.export.scene import ExportedScene, GridPictures, Photographs
+from nishiki.stages.export.scene import CodedPhotographs, ExportedScene, GridPictures
 
 SCENES = ("painting", "diligent_cat", "diligent_cat-12", "rti_fossil")
 KEPT_BACK = ("diligent_ball", "diligent_ball-12", "rti_marble", "uw_owl", "uw_horse")
@@ -66,7 +66,7 @@ class Scene:
     mask: np.ndarray
     fitted: np.ndarray
     unseen: np.ndarray
-    photographs: Photographs
+    photographs: CodedPhotographs
     drawn: GridPictures
     gltf: dict
 
@@ -109,7 +109,7 @@ def scene_of(data: Path, folder: Path, name: str) -> Scene:
     stages = [stage for stage in ("ingest", "normals", "height", "spectra", "brdf") if (current / stage).is_dir()]
     exported = ExportedScene({stage: open_artifact(current / stage) for stage in stages})
     frames = Observations(current / "ingest")
-    photographs = Photographs(frames, exported)
+    photographs = CodedPhotographs(frames, exported)
     fitted, unseen = frames.fit_lights(held_out), frames.check_lights(held_out)
     every = np.arange(len(frames.lights))
     strips = [strip for band in frames.bands() for strip in photographs.strips(band, every)]

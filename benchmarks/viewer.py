@@ -26,7 +26,7 @@ from viewer_pages import lamp  # noqa: E402
 
 from nishiki.artifacts.artifact import open_artifact  # noqa: E402
 from nishiki.render.cloth.models import ClothModels  # noqa: E402
-from nishiki.render.display import encoded  # noqa: E402
+from nishiki.render.display import encode_display  # noqa: E402
 from nishiki.render.object.decoded_object import DecodedObject  # noqa: E402
 from nishiki.stages.viewer.cloth import surfaces  # noqa: E402
 
@@ -167,7 +167,7 @@ def measured_object(folder: Path) -> list[dict]:
             inner = picture.covered.copy()
             for axis in (0, 1):  # the pixels beside the edge are blended with the background
                 inner &= np.roll(picture.covered, 1, axis) & np.roll(picture.covered, -1, axis)
-            errors = viewer_pages.difference(shown, encoded(picture.linear).pixels)[inner]
+            errors = viewer_pages.difference(shown, encode_display(picture.linear).pixels)[inner]
             rows.append({"scene": folder.name, "state": name, "mean": errors.mean(), "p99": np.percentile(errors, 99)})
         rows.append({"scene": folder.name, "messages": page.messages})
     return rows

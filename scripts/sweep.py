@@ -17,8 +17,8 @@ from nishiki.sweep.variants import (
     MeasureSettings,
     VariantRow,
     as_measure,
+    average_common,
     candidates,
-    compared,
     paths_in,
     values_of,
     variant_row,
@@ -74,7 +74,9 @@ def errors_of(flow: Workflow, swept: SceneSweep) -> tuple[list[MeasureSettings],
     }
 
     def values(measure: MeasureSettings) -> dict[str, float | None]:
-        return compared({name: values_of(measure, sources, settings[name]) for name, sources in evaluations.items()})
+        return average_common(
+            {name: values_of(measure, sources, settings[name]) for name, sources in evaluations.items()}
+        )
 
     asked = [as_measure(given) for given in require(flow.sweep).settings.error]
     if not asked:

@@ -74,7 +74,7 @@ def turntable_facts(capture: TurntableCapture) -> TurntableFacts:
         channels=len(camera.channels),
         rows=header.rows,
         columns=header.columns,
-        encoding=header.coding_used(camera.encoding).encoding,
+        encoding=header.choose_coding(camera.encoding).encoding,
         has_sensitivities=capture.sensitivities is not None,
         has_illuminant=capture.illuminant is not None,
     )

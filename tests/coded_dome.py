@@ -78,7 +78,7 @@ def coded_dome(folder: Path, *, encoding: str = "srgb", pictures: bool = False) 
         parameters.append(sparse(rng, design.parameter_shape(extent), 0.05, 3))
         residuals.append(sparse(rng, design.residual_shape(extent), 0.03, 6))
     levels = [(design.parameter_plane(e).levels, design.plane(e).levels) for e in extents]
-    untrained = Model.untrained()
+    untrained = Model.initial()
     first = [encode(p, n[0], untrained) for p, n in zip(parameters, levels, strict=True)]
     second = [encode(r, n[1], untrained) for r, n in zip(residuals, levels, strict=True)]
     models = train(first), train(second)

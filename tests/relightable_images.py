@@ -227,7 +227,7 @@ def components_value(info, numbers, weights, k):
 def expect_values(path, content, value):
     """A file's picture under LIGHT is that of a slow decoder."""
     path.write_bytes(content)
-    shown = open_relightable(path).shown(LIGHT)
+    shown = open_relightable(path).relight(LIGHT)
     expected = [[[value(r, c, k) for k in range(3)] for c in range(COLUMNS)] for r in range(ROWS)]
     assert np.ptp(expected) > 0.5
     np.testing.assert_allclose(shown, expected, atol=2e-5)

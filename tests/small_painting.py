@@ -19,7 +19,7 @@ from nishiki.artifacts.maps import MapWriter
 from nishiki.artifacts.stage import Context, expect_finite
 from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.capture.folder import load_capture
-from nishiki.installation import installed
+from nishiki.installation import is_installed
 from nishiki.observations.plane_store import write_observations
 from nishiki.progress import Progress
 from nishiki.stages.brdf import BrdfSettings
@@ -37,7 +37,7 @@ NANOMETRES = np.arange(400, 701, 5)
 LAMPS = [(np.sin(a) * 0.7, np.cos(a) * 0.7, 0.714) for a in np.radians([10, 100, 190, 280])]
 
 OF_PACKAGES = {"usd": "usd-core", "materialx": "materialx"}
-FORMATS_HERE = tuple(name for name in get_args(Format) if installed(OF_PACKAGES.get(name, "numpy")))
+FORMATS_HERE = tuple(name for name in get_args(Format) if is_installed(OF_PACKAGES.get(name, "numpy")))
 """Formats that can be written: those of the extra `export` only where it is installed."""
 
 

@@ -21,17 +21,17 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.slopes import slope_covariance
 from nishiki.colour.colour import cie_1931_cmfs, decode, delta_e_2000, illuminant, srgb_matrix, xyz_to_lab
 from nishiki.progress import Progress
-from nishiki.render.cloth.models import ClothModels, dyed
+from nishiki.render.cloth.models import ClothModels, apply_dyes
 from nishiki.render.cloth.scene import Lamp
 from nishiki.render.cloth.studio import RenderVariant, linear_colour
 from nishiki.render.cloth.studio import render as render_cloth
-from nishiki.render.display import adapted_exposure, developed, display_image
+from nishiki.render.display import adapted_exposure, develop, display_image
 from nishiki.render.object.shots import FreeLamp, FreeLighting
 from nishiki.render.plane.frame import render
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shade import cast_shadows
-from nishiki.stages.render import DYES, LightSettings, MeshSettings
-from nishiki.stages.render.painting import direction, load_scene, seen, white_sheet
+from nishiki.stages.render import DYES, LightSettings, SurfaceFile
+from nishiki.stages.render.painting import direction, load_scene, select_object, white_sheet
 from nishiki.stages.viewer import ViewerSettings
 from nishiki.stages.viewer import painting as viewer_run
 from nishiki.stages.viewer.cloth import shape_of, surfaces
@@ -238,7 +238,7 @@ def rendered(scene: PlaneScene, state: dict[str, Any], view: View | None = None)
         settings = [
             LightSettings(elevation_deg=each["elevation_deg"], intensity=each["intensity"]) for each in state["lamps"]
         ]
-        exposure = adapted_exposure(made.xyz, seen=seen(made), sheet=white_sheet(settings, state["ambient"]))
+        exposure = adapted_exposure(made.xyz, seen=select_object(made), sheet=white_sheet(settings, state["ambient"]))
     return display_image(made.xyz, white=made.white_xyz, exposure=exposure).pixels, exposure
 
 
@@ -300,7 +300,7 @@ def cloth_rendered(
     state: dict[str, Any],
     shape: str,
     *,
-    mesh: MeshSettings | None = None,
+    mesh: SurfaceFile | None = None,
     supersampling: int = 3,
     shadows: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -323,12 +323,12 @@ def cloth_rendered(
     region, _, model = options.get("material", f"{models.regions[0]}-{models.default}").partition("-")
     brdf = models.brdf(region, model)
     dye = options.get("dye", "measured")
-    brdf = brdf if dye == "measured" else dyed(brdf, {dye: linear_colour(DYES[dye])})[dye]
+    brdf = brdf if dye == "measured" else apply_dyes(brdf, {dye: linear_colour(DYES[dye])})[dye]
     materials = (brdf,) if stage.paper is None else (brdf, stage.paper)
     take = RenderVariant(materials, (1.0,) * len(lamps), around=state["ambient"])
     light = {"surroundings": stage.surroundings, "shadows": shadows}
     picture = render_cloth(stage.scene, [take], lamps, stage.camera, supersampling=supersampling, **light)[0]
-    image = developed(picture.linear, picture.coverage, exposure=state["exposure"], soft=True, background=1.0)
+    image = develop(picture.linear, picture.coverage, exposure=state["exposure"], soft=True, background=1.0)
     return image.pixels, picture.cloth > 1 - 1e-6
 
 

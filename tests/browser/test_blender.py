@@ -10,10 +10,10 @@ from textured_ball import textured_ball
 
 from nishiki.colour.colour import decode, encode
 from nishiki.formats.textured_surface import write_usdz
-from nishiki.installation import installed
+from nishiki.installation import is_installed
 from nishiki.stages.export import ExportSettings
 from nishiki.stages.export.look import PaintingSurface
-from nishiki.stages.export.object_look import SeenPoints, shown_in
+from nishiki.stages.export.object_look import SeenPoints, show_in
 from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
 
@@ -51,17 +51,17 @@ def test_a_painting_of_two_finishes_is_drawn_as_the_formulas_say_and_stands_wher
         assert covered[painting.known].mean() > 0.98
         compared = (covered & painting.known).ravel()
         drawn = picture[..., :3].reshape(-1, 3)[compared]
-        assert decibels(drawn, material.shown(base, normals, lamp)[compared]) > 55
+        assert decibels(drawn, material.render(base, normals, lamp)[compared]) > 55
         for wrong in (normals * [-1, 1, 1], normals * [1, -1, 1]):
-            assert decibels(drawn, material.shown(base, wrong, lamp)[compared]) < 40, "other normals show"
-        other = look.gloss.gltf.materials[0].shown(base, normals, lamp)
+            assert decibels(drawn, material.render(base, wrong, lamp)[compared]) < 40, "other normals show"
+        other = look.gloss.gltf.materials[0].render(base, normals, lamp)
         assert decibels(drawn, other[compared]) < 40, "the gloss of each region shows"
 
 
-@pytest.mark.skipif(not installed("usd-core"), reason="usd-core is not installed (extra export)")
+@pytest.mark.skipif(not is_installed("usd-core"), reason="usd-core is not installed (extra export)")
 def test_an_object_in_usd_is_drawn_from_captured_views_as_the_formulas_say(tmp_path):
     look, mesh = textured_ball()
-    write_usdz(tmp_path / "object.usdz", mesh, look.of_one_strength().surface(), name="ball", facts={})
+    write_usdz(tmp_path / "object.usdz", mesh, look.with_mean_strength().surface(), name="ball", facts={})
     for view in (0, 1):
         points = SeenPoints.of(look, view)
         camera = blender_scene.pinhole(look.decoded.cameras[view], 1.0)
@@ -73,7 +73,7 @@ def test_an_object_in_usd_is_drawn_from_captured_views_as_the_formulas_say(tmp_p
         seen = picture[points.covered]
         squares = np.sum((points.positions - points.lamp.vector) ** 2, axis=1, keepdims=True)  # ours has no fall-off
         compared = (seen[:, 3] > 0.99) & (points.cosines()[2] > 0.5) & (seen[:, 0] > 0)
-        drawn, expected = (seen[:, :3] * squares)[compared], shown_in(look, "usd")(points)[compared]
+        drawn, expected = (seen[:, :3] * squares)[compared], show_in(look, "usd")(points)[compared]
         assert decibels(drawn, expected) > 45
         turned = replace(look, colour=np.ascontiguousarray(look.colour[::-1]))
-        assert decibels(drawn, shown_in(turned, "usd")(points)[compared]) < 30, "the places in the texture show"
+        assert decibels(drawn, show_in(turned, "usd")(points)[compared]) < 30, "the places in the texture show"

@@ -13,7 +13,7 @@ from nishiki.brdf.cloth.store import save_brdf
 from nishiki.progress import Progress
 from nishiki.render.cloth.models import ClothModels
 from nishiki.report.viewer.page import Blocks
-from nishiki.stages.render import DYES, MeshSettings
+from nishiki.stages.render import DYES, SurfaceFile
 from nishiki.stages.viewer import cloth
 
 pytestmark = [
@@ -67,7 +67,7 @@ def shown(tmp_path_factory):
         blocks = Blocks(SimpleNamespace(path=lambda name: folder / name), inline_bytes=10**8)
         about = {"title": "Satin", "scene": "satin", "key": "", "version": ""}
         (folder / "roof.obj").write_text(ROOF)
-        mesh = MeshSettings(file=str(folder / "roof.obj"))
+        mesh = SurfaceFile(file=str(folder / "roof.obj"))
         cloth.write_cloth(ClothModels(folder), blocks, about, dyes=DYES, mesh=mesh, progress=Progress("test"))
         with viewer_pages.opened(folder / "index.html", width=500, height=300) as page:
             yield SimpleNamespace(models=ClothModels(folder), mesh=mesh, page=page)

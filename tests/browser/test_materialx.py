@@ -10,13 +10,13 @@ from textured_ball import textured_ball
 from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.colour.colour import decode, encode
 from nishiki.formats.textured_surface import SurfaceLook, write_materialx
-from nishiki.installation import installed
-from nishiki.stages.export.object_look import SeenPoints, shown_in
+from nishiki.installation import is_installed
+from nishiki.stages.export.object_look import SeenPoints, show_in
 
 pytestmark = [
     pytest.mark.slow,  # a software rasteriser compiles a shader of 100,000 characters
     pytest.mark.skipif(viewer_pages.missing() is not None, reason=str(viewer_pages.missing())),
-    pytest.mark.skipif(not installed("materialx"), reason="materialx is not installed (extra export)"),
+    pytest.mark.skipif(not is_installed("materialx"), reason="materialx is not installed (extra export)"),
 ]
 ROWS, COLUMNS = 12, 20
 VIEW = np.array([0.0, 0.0, 1.0])
@@ -84,6 +84,6 @@ def test_an_object_is_drawn_on_its_own_mesh_as_the_formulas_say(tmp_path):
             # At grazing view the body of OpenPBR loses the gloss's mean over all lights, and is darker than ours.
             both = covered[points.covered] & (points.cosines()[2] > 0.5)
             theirs = picture[points.covered][both, :3]
-            assert decibels(theirs, shown_in(look, "materialx")(points)[both]) > 50
+            assert decibels(theirs, show_in(look, "materialx")(points)[both]) > 50
             dull = replace(look, specular=np.full_like(look.specular, 20))
-            assert decibels(theirs, shown_in(dull, "materialx")(points)[both]) < 40, "the strength of the gloss shows"
+            assert decibels(theirs, show_in(dull, "materialx")(points)[both]) < 40, "the strength of the gloss shows"

@@ -8,7 +8,7 @@ import pytest
 import viewer_pages
 from coded_dome import coded_dome
 
-from nishiki.render.display import encoded
+from nishiki.render.display import encode_display
 from nishiki.report.viewer.page import Blocks
 from nishiki.stages.viewer.object import write_object
 
@@ -29,7 +29,7 @@ def test_views_coded_as_pictures_show_them_and_lend_to_views_between(tmp_path):
         for captured, shot in ((3, renderer.captured(3)), (9.5, renderer.between(9, 0.5))):
             picture, model = (next(each.render([shot])) for each in (renderer, alone))
             inner = cv2.erode(picture.covered.astype(np.uint8), np.ones((5, 5))) > 0
-            want, without = (encoded(each.linear).pixels for each in (picture, model))
+            want, without = (encode_display(each.linear).pixels for each in (picture, model))
             shown = page.picture(shot.camera.columns, shot.camera.rows, **plain, view={"captured": captured})
             apart = viewer_pages.difference(shown, want)[inner]
             assert inner.sum() > 3000

@@ -10,7 +10,7 @@ import viewer_pages
 from coded_dome import coded_dome
 
 from nishiki.geometry.camera import look_at
-from nishiki.render.display import encoded
+from nishiki.render.display import encode_display
 from nishiki.render.object.shots import Shot, neighbours
 from nishiki.report.viewer.page import Blocks
 from nishiki.stages.render.painting import direction
@@ -53,7 +53,7 @@ def with_tool(shown, key):
 
 def check(shown, state, renderer, shot):
     picture = next(renderer.render([shot]))
-    want = encoded(picture.linear).pixels
+    want = encode_display(picture.linear).pixels
     inner = picture.covered.copy()
     for axis in (0, 1):  # the pixels beside the edge are blended with the background
         inner &= np.roll(picture.covered, 1, axis) & np.roll(picture.covered, -1, axis)
@@ -96,7 +96,9 @@ def test_shadows_fall_where_they_should(shown):
     lighting = viewer_pages.own_lighting(state)
     with_them = shown.decoded.renderer(rim=0, own_lamps=lighting)
     without = shown.decoded.renderer(rim=0, own_lamps=replace(lighting, shadows=False))
-    shaded, plain = (encoded(next(each.render([each.captured(3)])).linear).pixels for each in (with_them, without))
+    shaded, plain = (
+        encode_display(next(each.render([each.captured(3)])).linear).pixels for each in (with_them, without)
+    )
     changed = viewer_pages.difference(shaded, plain) > 8
     assert changed.sum() > 150
     assert np.median(viewer_pages.difference(canvas(shown, **state), shaded)[changed]) < 0.5
@@ -122,7 +124,7 @@ def test_the_ceiling_of_the_capture_does_not_bind_free_lamps(shown):
     bright = canvas(shown, **state, lamps=[viewer_pages.lamp(40, 60, intensity=4)], exposure=0.25).astype(int)
     plain = canvas(shown, **state, lamps=[viewer_pages.lamp(40, 60)], exposure=1).astype(int)
     canvas(shown, exposure=1)
-    assert bright.max() > encoded(np.full((1, 1, 3), 0.27)).pixels.max()  # at this exposure 1 is 0.25
+    assert bright.max() > encode_display(np.full((1, 1, 3), 0.27)).pixels.max()  # at this exposure 1 is 0.25
     assert np.percentile(abs(bright - plain), 99) <= 2
 
 

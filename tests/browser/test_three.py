@@ -39,7 +39,7 @@ def test_three_draws_the_material_that_the_loss_is_reckoned_with(tmp_path, gilde
     material = look.gloss.gltf.of(np.arange(rows), np.arange(columns))
     for lamp, picture in pictures.items():
         direction = np.array(lamp) / np.linalg.norm(lamp)
-        expected = encode(material.shown(base, normals, direction), "srgb").reshape(rows, columns, 3)
+        expected = encode(material.render(base, normals, direction), "srgb").reshape(rows, columns, 3)
         covered = picture[..., 3] == 255
         assert np.mean(covered[painting.known]) > 0.98  # less at the unknown corner
         apart = np.abs(picture[..., :3] / 255 - np.clip(expected, 0, 1))[covered & painting.known]

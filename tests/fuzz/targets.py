@@ -138,7 +138,7 @@ def images(data: bytes) -> None:
     suffix, _, content = choice(data, IMAGES)
     path = put(f"x{suffix}", content) if suffix not in FOLDER else _relight_folder(suffix, content)
     if suffix in SUFFIXES or suffix in FOLDER:
-        assert np.isfinite(open_relightable(path).shown(np.array([0.6, 0.0, 0.8]))).all()
+        assert np.isfinite(open_relightable(path).relight(np.array([0.6, 0.0, 0.8]))).all()
         return
     header = read_header(path)
     names = header.names or tuple(f"c{i}" for i in range(header.channels - header.alpha))

@@ -16,7 +16,14 @@ from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.placement import agreement
 from nishiki.geometry.pose import Sight, estimate_pose
 from nishiki.geometry.silhouettes import segment
-from nishiki.geometry.surface import decimate, distances, fewest_triangles, point_to_triangle, shape_of, smoothed
+from nishiki.geometry.surface import (
+    decimate,
+    distances,
+    fewest_triangles,
+    point_to_triangle,
+    shape_of,
+    smooth_outline_steps,
+)
 from nishiki.geometry.turn import turn_of
 from nishiki.geometry.visibility import rasterise
 
@@ -457,6 +464,6 @@ def test_decimation_of_needles():
             light = decimate(mesh, wanted)
             wrong += not np.isfinite(light.vertices).all() or not np.isfinite(light.normals).all()
             wrong += len(light.triangles) > len(mesh.triangles)
-        soft = smoothed(mesh, turn(3), most_px=0.5)
+        soft = smooth_outline_steps(mesh, turn(3), most_px=0.5)
         wrong += not np.isfinite(soft.vertices).all() or (closed and not shape_of(mesh).watertight)
     return wrong

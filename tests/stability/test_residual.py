@@ -186,8 +186,8 @@ def _coded(shape, kind, seed):
         "largest": np.full(size, largest) * rng.choice([-1, 1], size),
     }[kind].astype(np.int32)
     levels = plane_transform("db2", rows, columns, 3).levels
-    coded = encode(values, levels, Model.untrained())
-    again = decode(coded.data, values.shape, levels, Model.untrained())
+    coded = encode(values, levels, Model.initial())
+    again = decode(coded.data, values.shape, levels, Model.initial())
     return float((again != values).sum())
 
 
@@ -216,7 +216,7 @@ def test_coding_of_extremes():
 def test_training_on_nothing():
     failures = 0
     shape = (3, 4, 8, 8)
-    empty = encode(np.zeros(shape, np.int32), 2, Model.untrained())
+    empty = encode(np.zeros(shape, np.int32), 2, Model.initial())
     for coded in ([], [empty], [empty] * 3):
         model = train(coded)
         values = np.random.default_rng(0).integers(-5, 6, shape).astype(np.int32)

@@ -254,7 +254,7 @@ def test_killed_in_the_middle_every_artifact_is_whole_or_gone(results, steps):
 
 
 def told(monkeypatch, capsys, results, planned, *arguments, sweeps=()):
-    monkeypatch.setattr(command, "_referenced", lambda *given: [(results, set(planned), set(sweeps))])
+    monkeypatch.setattr(command, "_list_references", lambda *given: [(results, set(planned), set(sweeps))])
     with pytest.raises(SystemExit) as ended:
         main(["prune", *arguments])
     output = capsys.readouterr()
@@ -280,10 +280,10 @@ def test_the_command_lists_first_and_removes_when_told(results, monkeypatch, cap
 
 
 def test_the_command_refuses_while_a_run_is_alive_and_lets_no_run_start_meanwhile(results, monkeypatch, capsys):
-    from nishiki.engine.running_lock import registered
+    from nishiki.engine.running_lock import register_run
 
     made = write_scene(results / "a")
-    with registered(results, ["a"]) as held:
+    with register_run(results, ["a"]) as held:
         status, _, errors = told(monkeypatch, capsys, results, places(made), "--delete")
         assert status == 2
         assert str(os.getpid()) in errors
@@ -293,7 +293,7 @@ def test_the_command_refuses_while_a_run_is_alive_and_lets_no_run_start_meanwhil
         held.ended = "done"
 
     def start_a_run(*_):
-        with refused(Exception, by="_refuse"), registered(results, ["a"]):
+        with refused(Exception, by="_refuse"), register_run(results, ["a"]):
             pass
         return 0
 

@@ -11,7 +11,7 @@ from nishiki.capture.lights import lights_from_vectors, rearrange
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.consistency import order_text
-from nishiki.photometric.arrangement import arrange, turned
+from nishiki.photometric.arrangement import arrange, turn_axes
 from nishiki.simulate import command as simulate
 
 RINGS = ((7, 35), (5, 60))
@@ -84,10 +84,10 @@ def test_an_exchanged_pair_is_found_where_gloss_hides_it_from_the_other_tests():
 @pytest.mark.parametrize("axes", AXES)
 def test_axes_are_found_but_for_a_half_turn(axes):
     directions = dome(RINGS)
-    listed = turned(directions, axes)
+    listed = turn_axes(directions, axes)
     found = arrange(photographs(directions), listed)
     assert found.order == tuple(range(12))
-    mended = turned(listed, found.axes)
+    mended = turn_axes(listed, found.axes)
     # a half turn makes hills hollows, which neither residual nor curl can tell
     assert np.allclose(mended, directions) or np.allclose(mended * [-1, -1, 1], directions)
     assert found.residual[0] == found.residual[1]
@@ -102,7 +102,9 @@ def test_no_order_is_named_that_the_test_refuses_again(seed):
     listed = np.random.default_rng(seed).permutation(dome(((6, 20), (6, 70))))
     found = arrange(values, listed)
     assert (
-        found.as_stated or found.unexplained or arrange(values, turned(listed[list(found.order)], found.axes)).as_stated
+        found.as_stated
+        or found.unexplained
+        or arrange(values, turn_axes(listed[list(found.order)], found.axes)).as_stated
     )
     if found.unexplained:
         assert not found.rearranged
@@ -161,7 +163,7 @@ def examine(folder):
     ("fault", "kind"),
     [
         (lambda lamps: np.roll(lamps, 1, axis=0), "lights-order"),
-        (lambda lamps: turned(lamps, "x,-y"), "lights-axes"),
+        (lambda lamps: turn_axes(lamps, "x,-y"), "lights-axes"),
     ],
 )
 def test_convert_refuses_with_an_option_that_mends(tmp_path, fault, kind):

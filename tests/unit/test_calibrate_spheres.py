@@ -12,7 +12,7 @@ from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
 from nishiki.capture.lights import read_lights
 from nishiki.capture.rti_projects import read_relight
-from nishiki.capture.spheres.lamps import _centred
+from nishiki.capture.spheres.lamps import _centre
 from nishiki.capture.spheres.optics import SphereCamera, outline_points, pixel_of_direction, reflected_rays, sphere_of
 from nishiki.capture.spheres.outline import fit_outline
 from nishiki.capture.spheres.search import SphereInput
@@ -176,7 +176,7 @@ def test_a_pixel_shows_the_direction_that_is_seen_there(focal):
 def test_means_over_lamps_and_places_do_not_count():
     random = np.random.default_rng(2)
     both = random.normal(size=(5, 1)) + random.normal(size=(1, 7))
-    assert np.abs(_centred(both)).max() < 1e-12
+    assert np.abs(_centre(both)).max() < 1e-12
 
 
 @pytest.mark.data

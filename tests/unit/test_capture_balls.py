@@ -15,7 +15,7 @@ from nishiki.capture.folder import load_capture
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.spheres import measure
 from nishiki.capture.spheres import measure as balls
-from nishiki.capture.spheres.optics import Highlight
+from nishiki.capture.spheres.optics import LampImage
 from nishiki.capture.spheres.search import SpheresError
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError
@@ -132,7 +132,7 @@ def test_a_highlight_of_another_size_counts_only_where_no_other_ball_shows_the_l
     """Light that a ball throws on the ground, seen in the other ball, has passed for the lamp."""
     found = np.empty((6, 2), object)
     for lamp, ball in np.ndindex(found.shape):
-        found[lamp, ball] = Highlight(np.zeros(2), 0.1, 4.0, 1.0, 0.0, False)
+        found[lamp, ball] = LampImage(np.zeros(2), 0.1, 4.0, 1.0, 0.0, False)
     for lamp, ball in ((2, 1), (3, 0), (3, 1)):
         found[lamp, ball] = replace(found[lamp, ball], area_px=40.0)
     findings = SimpleNamespace(outlines=[None, None], highlights=found, left_out={})

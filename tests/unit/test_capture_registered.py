@@ -19,7 +19,7 @@ from nishiki.formats.problems import CaptureError
 from nishiki.geometry.camera import Camera
 from nishiki.observations.views import Views
 from nishiki.observations.views_store import write_views
-from nishiki.stages.cameras.run import given
+from nishiki.stages.cameras.run import use_given_cameras
 from nishiki.stages.ingest import IngestSettings
 
 FLIP = np.diag([1.0, -1.0, -1.0])
@@ -195,7 +195,7 @@ def test_every_photograph_keeps_the_lens_that_it_has(tmp_path):
     assert [capture.distortion_of(view) for view in capture.views] == [camera.distortion for camera in cameras]
     (tmp_path / "ingest").mkdir()
     write_views(capture, tmp_path / "ingest", settings=IngestSettings())
-    for ours, theirs in zip(given(Views(tmp_path / "ingest"), None)[0], cameras, strict=True):
+    for ours, theirs in zip(use_given_cameras(Views(tmp_path / "ingest"), None)[0], cameras, strict=True):
         np.testing.assert_allclose(ours.project(POINTS)[0], theirs.project(POINTS)[0], atol=1e-7)
 
 

@@ -24,7 +24,7 @@ from nishiki.observations.check import check_capture
 @pytest.mark.parametrize(("kind", "space", "planes"), RELIGHT)
 def test_values_of_a_relight_folder_are_those_of_a_slow_decoder(tmp_path, kind, space, planes):
     info, planes = write_relight(tmp_path / "r", kind, space, planes)
-    shown = open_relightable(tmp_path / "r").shown(LIGHT)
+    shown = open_relightable(tmp_path / "r").relight(LIGHT)
     expected = [
         [[relight_value(info, planes[r, c], LIGHT, k) for k in range(3)] for c in range(COLUMNS)] for r in range(ROWS)
     ]
@@ -47,18 +47,18 @@ def test_brightness_and_differences_are_those_that_relight_makes_of_a_colour(tmp
     middle = blue + (red - blue) / 2
     info["basis"] = [middle + (green - middle) / 2, red - blue, green - middle] * 6 + [127] * 54
     (tmp_path / "r/info.json").write_text(json.dumps(info))
-    shown = open_relightable(tmp_path / "r").shown(LIGHT)[0, 0] * 255
+    shown = open_relightable(tmp_path / "r").relight(LIGHT)[0, 0] * 255
     np.testing.assert_allclose(shown, [red, green, blue], atol=1e-3)
 
 
 @pytest.mark.parametrize("space", ["mrgb", "mycc"])
 def test_components_of_older_folders_lie_in_a_file_of_their_own(tmp_path, space):
     info, _ = write_relight(tmp_path / "r", "rbf", space, 5 if space == "mrgb" else (3, 1, 1))
-    expected = open_relightable(tmp_path / "r").shown(LIGHT)
+    expected = open_relightable(tmp_path / "r").relight(LIGHT)
     (tmp_path / "r/materials.bin").write_bytes(bytes(info.pop("basis")))
     (tmp_path / "r/info.json").write_text(json.dumps(info))
     image = open_relightable(tmp_path / "r")
-    np.testing.assert_array_equal(image.shown(LIGHT), expected)
+    np.testing.assert_array_equal(image.relight(LIGHT), expected)
     convert(tmp_path / "r", tmp_path / "c")
     assert (tmp_path / "c/relight/materials.bin").read_bytes() == (tmp_path / "r/materials.bin").read_bytes()
     (tmp_path / "r/materials.bin").write_bytes(bytes(99))
@@ -166,7 +166,7 @@ def test_gaussians_that_cannot_be_evaluated_are_refused(tmp_path, change, text):
     info, _ = write_relight(tmp_path / "r", "rbf", "mrgb", 5)
     info["lights"] = [round(v, 3) for v in info["lights"]]
     (tmp_path / "r/info.json").write_text(json.dumps(info))
-    assert np.isfinite(open_relightable(tmp_path / "r").shown(LIGHT)).all()
+    assert np.isfinite(open_relightable(tmp_path / "r").relight(LIGHT)).all()
     change(info)
     (tmp_path / "r/info.json").write_text(json.dumps(info))
     with pytest.raises(CaptureError, match=re.escape(text)):

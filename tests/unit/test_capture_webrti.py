@@ -89,8 +89,8 @@ def test_a_folder_shows_what_the_file_it_was_made_of_shows(tmp_path, kind, liste
     content = example(tmp_path / "w", kind, listed)
     file = tmp_path / ("x.rti" if kind == "HSH_RTI" else "x.ptm")
     file.write_bytes(content)
-    expected = open_relightable(file).shown(np.array(LIGHT))
-    np.testing.assert_allclose(open_relightable(tmp_path / "w").shown(np.array(LIGHT)), expected, atol=1e-4)
+    expected = open_relightable(file).relight(np.array(LIGHT))
+    np.testing.assert_allclose(open_relightable(tmp_path / "w").relight(np.array(LIGHT)), expected, atol=1e-4)
 
 
 def test_a_folder_becomes_a_capture_that_keeps_it(tmp_path):
@@ -167,7 +167,7 @@ def test_photographs_of_a_series_show_one_view_and_vary_with_the_angles(tmp_path
 def test_a_genuine_folder(data, tmp_path):
     image = open_relightable(data / "foreign" / "webrti")
     assert image.shape == (512, 512)
-    pictures = [np.clip(image.shown(np.array(light)), 0, 1) for light in ((0, 0, 1), (0.6, 0, 0.8), (0, 0.6, 0.8))]
+    pictures = [np.clip(image.relight(np.array(light)), 0, 1) for light in ((0, 0, 1), (0.6, 0, 0.8), (0, 0.6, 0.8))]
     whole = np.concatenate(pictures, axis=2)
     for seam in (whole[255:257], whole[:, 255:257].swapaxes(0, 1)):  # tiles fit together: no edge where they meet
         beside = np.abs(np.diff(whole, axis=0)).mean()

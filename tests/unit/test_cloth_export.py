@@ -22,10 +22,10 @@ from nishiki.artifacts.artifact import ArtifactWriter
 from nishiki.artifacts.closed import parse
 from nishiki.artifacts.stage import Context, expect_finite
 from nishiki.brdf.cloth.store import save_brdf
-from nishiki.geometry.turn import scaled
+from nishiki.geometry.turn import scale_camera
 from nishiki.progress import Progress
 from nishiki.render.cloth.scene import BrdfTable, ClothScene, Lamp, Matte
-from nishiki.render.cloth.studio import RenderVariant, framed, paper_below, render
+from nishiki.render.cloth.studio import RenderVariant, frame_camera, paper_below, render
 from nishiki.render.cloth.surfaces import read_drape
 from nishiki.stages.export import ClothExportSettings
 from nishiki.stages.export import ClothFormat as Format
@@ -41,7 +41,7 @@ from nishiki.stages.export.cloth import (
 )
 from nishiki.stages.render import ClothRenderSettings
 from nishiki.stages.render.cloth import lights_of
-from nishiki.stages.report.capture import exported as exported_section
+from nishiki.stages.report.capture import exports_section as exported_section
 
 pytestmark = pytest.mark.slow
 
@@ -256,7 +256,7 @@ def test_mitsuba_renders_what_we_render(exported, nishiki_cloth, below):
     camera = camera_of(cloth)
     if below:  # the back of the cloth
         del scene["paper"]
-        camera = framed(
+        camera = frame_camera(
             cloth.draped.surface.mesh.vertices, elevation=-1.0, azimuth=0.3, rows=48, columns=48, distance=3
         )
         scene[lamps[0]]["direction"] = [-0.3, 0.8, -0.5]
@@ -287,7 +287,7 @@ def test_mitsuba_shows_the_picture_of_our_camera(exported, nishiki_cloth):
     theirs = np.array(mi.render(mi.load_dict(scene)))
     lamp = lights_of(cloth.shown)[0]
     azimuth = np.radians(cloth.shown.view.azimuth_deg)
-    camera = scaled(camera_of(cloth), 0.5)
+    camera = scale_camera(camera_of(cloth), 0.5)
     ours = our_picture(cloth, camera, lamp.lamp(azimuth).direction, paper=True, supersampling=4).linear
     ours = ours * np.array(lamp.colour)
     assert theirs.sum() == pytest.approx(ours.sum(), rel=0.03)

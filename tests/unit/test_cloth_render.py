@@ -21,9 +21,9 @@ from nishiki.progress import Progress
 from nishiki.render.cloth.models import ClothModels
 from nishiki.render.cloth.studio import ClothPicture
 from nishiki.render.cloth.surfaces import STEP, read_drape, read_surface
-from nishiki.render.display import developed, shoulder
+from nishiki.render.display import develop, shoulder
 from nishiki.stages.render import ClothRenderSettings
-from nishiki.stages.render.cloth import exposed
+from nishiki.stages.render.cloth import choose_exposure
 from nishiki.stages.table import CHAIN
 from nishiki.stages.viewer import ClothViewerSettings
 from nishiki.stages.viewer.cloth import shape_of, surfaces
@@ -206,12 +206,14 @@ def test_tone():
     picture = ClothPicture(linear, np.ones((4, 4), np.float32), cloth, 16, 16, 0.0, 0.0)
     automatic = ClothRenderSettings()
     white_sheet = 1 / (1.15 + 0.16)  # its light under the brightest lamp and the room
-    assert exposed(automatic, [picture]) == pytest.approx(white_sheet)
-    assert exposed(automatic, [replace(picture, linear=linear / 50)]) == pytest.approx(white_sheet)  # black stays black
+    assert choose_exposure(automatic, [picture]) == pytest.approx(white_sheet)
+    assert choose_exposure(automatic, [replace(picture, linear=linear / 50)]) == pytest.approx(
+        white_sheet
+    )  # black stays black
     linear[:2] = 1.9  # gloss brighter than white paper bounds the exposure
-    assert exposed(automatic, [picture]) == pytest.approx(0.5, rel=1e-3)
-    assert exposed(automatic, []) == pytest.approx(white_sheet)
-    image = developed(np.full((2, 2, 3), 0.25, np.float32), np.full((2, 2), 0.0, np.float32), background=1.0)
+    assert choose_exposure(automatic, [picture]) == pytest.approx(0.5, rel=1e-3)
+    assert choose_exposure(automatic, []) == pytest.approx(white_sheet)
+    image = develop(np.full((2, 2, 3), 0.25, np.float32), np.full((2, 2), 0.0, np.float32), background=1.0)
     assert np.all(image.pixels == 255)
 
 

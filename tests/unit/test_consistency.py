@@ -133,7 +133,7 @@ def test_metal_shows_neither_near_nor_failed_lamps():
     assert result.failed == ()
     assert not result.holds(directions)
     near = measure_width(values, directions)
-    assert near is None or not near.shown
+    assert near is None or not near.is_certain
     assert examine_photographs(np.where(np.arange(24) == 5, 1e-4, values.T).T, directions).failed == (5,)
 
 

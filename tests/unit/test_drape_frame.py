@@ -9,9 +9,9 @@ from nishiki.brdf.cloth.interface import gloss_of
 from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.cloth.models import Surroundings, disc_point, dyed, lookup, openness, share_of, shares
+from nishiki.render.cloth.models import Surroundings, apply_dyes, disc_point, lookup, openness, share_of, shares
 from nishiki.render.cloth.scene import AmbientLight, ClothScene, Lamp, Matte, Surface, together
-from nishiki.render.cloth.studio import RenderVariant, framed, linear_colour, render
+from nishiki.render.cloth.studio import RenderVariant, frame_camera, linear_colour, render
 from nishiki.render.cloth.surfaces import cylinder, paper, sheet, swatch
 
 WARD = Ward(diffuse=np.array([0.1, 0.2, 0.3]), specular=np.array([0.3, 0.3, 0.3]), alpha_x=0.4, alpha_y=0.15)
@@ -133,7 +133,7 @@ def test_shared_values_differ_little_from_each_sample_its_own():
 
 def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
     colours = {"red": (0.5, 0.05, 0.1), "blue": (0.05, 0.1, 0.5)}
-    made = dyed(WARD, colours)
+    made = apply_dyes(WARD, colours)
     assert made["red"].gloss is made["blue"].gloss
     rng = np.random.default_rng(4)
     incident, outgoing = rng.normal(size=(2, 400, 3)) * [1, 1, 0.5] + [0, 0, 1]
@@ -148,7 +148,7 @@ def test_dyes_share_their_gloss_and_are_what_the_dichromatic_model_says():
     apart = np.abs(share_of(made["red"]) - shares(made["red"])[0])
     assert apart[:-2].max() < 0.01
     assert apart.max() < 0.06  # at grazing views the sum over the light is coarse
-    assert dyed(WARD, {}) == {}
+    assert apply_dyes(WARD, {}) == {}
 
 
 def test_bands_do_not_show(monkeypatch):
@@ -250,7 +250,7 @@ def test_a_camera_that_holds_everything():
     rng = np.random.default_rng(1)
     points = rng.normal(size=(200, 3)) * [1, 3, 0.5] + [5, 6, 7]
     for elevation in (-0.2, 0.4, 1.4):
-        view = framed(points, elevation=elevation, azimuth=0.7, rows=300, columns=400, distance=1.5, margin=1.1)
+        view = frame_camera(points, elevation=elevation, azimuth=0.7, rows=300, columns=400, distance=1.5, margin=1.1)
         pixels, depth = view.project(points)
         assert np.all(depth > 0)
         low, high = pixels.min(axis=0), pixels.max(axis=0)

@@ -13,7 +13,7 @@ from nishiki.render.cloth.surfaces import (
     paper,
     sheet,
     swatch,
-    transported,
+    transport_tangents,
 )
 
 
@@ -105,7 +105,7 @@ def test_transport_on_a_cone_is_that_of_its_unrolled_sector():
     ray = points / np.linalg.norm(points, axis=1, keepdims=True)
     triangles = grid_triangles(sectors, 5)
     known = a.ravel() == 0
-    weft, arbitrary = transported(len(points), triangles, out, ray, known)
+    weft, arbitrary = transport_tangents(len(points), triangles, out, ray, known)
     unrolled = a.ravel() * np.sin(half)
     expected = np.cos(unrolled)[:, None] * ray - np.sin(unrolled)[:, None] * along
     assert arbitrary == 0

@@ -25,7 +25,7 @@ from nishiki.model_selection.sufficient import (
     normal_order,
     output_bases,
     principal_bases,
-    what_is_left,
+    summarise_residual,
     with_normal_rows,
 )
 from nishiki.model_selection.sufficient import static_choice as static_views
@@ -290,7 +290,7 @@ def left_over(structure, noise, *, seed=1):
 
 
 def test_noise_is_no_structure_and_structure_is_reported():
-    noise, both, pattern = (what_is_left([left_over(*of)]) for of in ((0, 0.01), (0.02, 0.01), (0.02, 1e-4)))
+    noise, both, pattern = (summarise_residual([left_over(*of)]) for of in ((0, 0.01), (0.02, 0.01), (0.02, 1e-4)))
     assert noise.structure < 0.05
     assert 0.3 < both.structure < 0.7  # the pattern's energy is half of all
     assert pattern.structure > 0.85
@@ -303,14 +303,14 @@ def test_consistent_texture_is_structure_even_if_rough():
     _, observation, s, t = left_over(0, 0)
     rough = np.tile(rng.standard_normal(900), 4)  # white over the surface, the same in every picture
     left = (rough + 0.3 * rng.standard_normal((3, 3600))).astype(np.float32)
-    assert what_is_left([(left, observation, s, t)]).structure > 0.5
+    assert summarise_residual([(left, observation, s, t)]).structure > 0.5
 
 
 def test_a_psnr_that_the_model_reaches_needs_no_residual():
-    left = what_is_left([left_over(0.02, 0.01)])
+    left = summarise_residual([left_over(0.02, 0.01)])
     assert model_suffices(left, "psnr", left.psnr_db - 1)
     assert not model_suffices(left, "psnr", left.psnr_db + 1)
-    assert not model_suffices(what_is_left([]), "psnr", 10)
+    assert not model_suffices(summarise_residual([]), "psnr", 10)
 
 
 # Telling -------------------------------------------------------------------------------------------------------------

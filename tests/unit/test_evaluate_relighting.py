@@ -31,7 +31,7 @@ from nishiki.evaluate.relighting import (
 from nishiki.evaluate.tables import COLUMNS, headlines, rows_of
 from nishiki.render.plane.scene import Gloss, Light
 from nishiki.render.plane.shade import PlaneMaps, cast_shadows
-from nishiki.stages.painting_maps import channel_colour, light_of, predict_light, seen_from, spectral_colour
+from nishiki.stages.painting_maps import channel_colour, light_of, lower_light, predict_light, spectral_colour
 
 
 def _sensitivities(count=3):
@@ -218,7 +218,7 @@ def test_bands_under_a_near_lamp_are_those_of_the_whole(falloff):
     for rows in (slice(0, 11), slice(11, 30)):
         below = (rows.start + rows.stop - 1) / 2 - 14.5
         maps = model._replace(normals=normals[rows], coefficients=model.coefficients[rows])
-        found = predict_light(maps, seen_from(light, 0.5 * below), visibility=visibility[:, rows], pitch=0.5)
+        found = predict_light(maps, lower_light(light, 0.5 * below), visibility=visibility[:, rows], pitch=0.5)
         np.testing.assert_allclose(found.channels, whole.channels[rows], rtol=1e-5, atol=1e-7)
 
 

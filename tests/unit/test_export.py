@@ -33,7 +33,7 @@ from nishiki.errors import NotFinite, UserError
 from nishiki.formats.banded_pictures import ExrWriter, write_tiff
 from nishiki.stages.export import ExportSettings, Format
 from nishiki.stages.export.painting import run
-from nishiki.stages.report.capture import exported as exported_section
+from nishiki.stages.report.capture import exports_section as exported_section
 
 pytestmark = pytest.mark.slow
 
@@ -186,7 +186,7 @@ def test_files_by_bands_refuse_missing_rows(tmp_path):
     with refused(ValueError, "4", "2", by="_finish"), ExrWriter(tmp_path / "a", "Y", 4, 3, {}) as exr:
         exr.write(np.zeros((2, 3, 1)))
     text = {"description": "", "software": ""}
-    with refused(ValueError, "4", "2", by="packed"):
+    with refused(ValueError, "4", "2", by="pack_bands"):
         write_tiff(tmp_path / "b", [np.zeros((2, 3), np.uint16)], (4, 3, 1), **text)
 
 

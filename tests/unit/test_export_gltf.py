@@ -124,7 +124,7 @@ def test_the_fitted_lobe_of_gltf_looks_like_ours():
             for b, g in zip(beta, gamma, strict=True)
         )
         base = material.base_colour(np.full((1, 3), 0.3))
-        shown = material.shown(base, np.array([[0, 0, 1.0]]), light)[0, 0]
+        shown = material.render(base, np.array([[0, 0, 1.0]]), light)[0, 0]
         assert srgb_encode(shown) == pytest.approx(srgb_encode(ours), abs=0.03)
     assert best_material(coded_errors(np.array([0.0]), np.array([0.9]), 1.45, 0.3), 1.45).strength < 0.01
 
@@ -137,7 +137,7 @@ def test_the_material_of_gltf_is_that_of_the_specification():
     distribution = alpha2 / (np.pi * (half[2] ** 2 * (alpha2 - 1) + 1) ** 2)
     smith = 2 * 0.8 / (0.8 + np.sqrt(alpha2 + (1 - alpha2) * 0.64)) * 2 / (1 + 1)
     brdf = (1 - fresnel_term) * 0.2 / np.pi + fresnel_term * distribution * smith / (4 * 0.8)
-    shown = material.shown(np.full((1, 3), 0.2), np.array([[0, 0, 1.0]]), light)
+    shown = material.render(np.full((1, 3), 0.2), np.array([[0, 0, 1.0]]), light)
     np.testing.assert_allclose(shown[0], np.pi * 0.8 * brdf, rtol=1e-6)
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 from small_painting import COLUMNS, ROWS, export_context, small_painting
 
 from nishiki.colour.colour import srgb_encode
-from nishiki.installation import installed
+from nishiki.installation import is_installed
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import predict_observations
 from nishiki.stages.export import ExportSettings
@@ -21,7 +21,11 @@ from nishiki.stages.export.look import STRENGTH, PaintingSurface, coded_errors, 
 from nishiki.stages.export.painting import run
 from nishiki.stages.export.scene import ExportedScene
 
-FORMATS = ("gltf", *(("usd",) if installed("usd-core") else ()), *(("materialx",) if installed("materialx") else ()))
+FORMATS = (
+    "gltf",
+    *(("usd",) if is_installed("usd-core") else ()),
+    *(("materialx",) if is_installed("materialx") else ()),
+)
 LABELS = np.zeros((ROWS, COLUMNS), np.uint8)
 LABELS[10:30, 20:51] = 1
 
@@ -190,7 +194,7 @@ def test_a_gilded_painting_looks_in_gltf_as_our_renderer_shows_it(gilded):
     pictures = predict_observations(model, [Light(direction=tuple(each)) for each in lights])
 
     def apart(light, material, ours):
-        pictures = material.shown(texels.colours, texels.normals, light).reshape(srgb.shape), ours.values
+        pictures = material.render(texels.colours, texels.normals, light).reshape(srgb.shape), ours.values
         return np.abs(np.subtract(*(np.clip(srgb_encode(np.maximum(each, 0)), 0, 1)[gold] for each in pictures)))
 
     errors = [[apart(*pair, ours).mean() for pair in ((light, metal), (light, paint))]

@@ -22,7 +22,7 @@ from nishiki.stages.export.light_models import (
     ptm_weights,
     solve,
 )
-from nishiki.stages.export.scene import ExportedScene, GridPictures, Photographs
+from nishiki.stages.export.scene import CodedPhotographs, ExportedScene, GridPictures
 
 pytestmark = pytest.mark.slow
 
@@ -121,8 +121,8 @@ def test_values_of_the_grid_s_nodes_are_the_model_s_put_right_by_the_photographs
     lights = frames.fit_lights()
     pictures = GridPictures(frames, ExportedScene(exported.painting.inputs), lights)
     rows, values, _ = next(pictures.strips(slice(20, 22), lights))
-    _, photographs, valid = next(Photographs(frames, pictures._scene).strips(slice(20, 22), lights))
-    drawn = pictures.drawn(pictures.fitted_model(rows)[0], slice(None))
+    _, photographs, valid = next(CodedPhotographs(frames, pictures._scene).strips(slice(20, 22), lights))
+    drawn = pictures.render_model(pictures.fitted_model(rows)[0], slice(None))
     captured, count = frames.directions[lights], len(lights)
     nodes = [(math.cos(turn), math.sin(turn)) for turn in (-math.pi / 2, 0, math.pi, math.pi / 2)]
     places = grid_directions(8)

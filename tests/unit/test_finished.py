@@ -18,7 +18,7 @@ from nishiki.commands.results import card_of
 from nishiki.engine import finished
 from nishiki.engine.plan import PlannedStage
 from nishiki.engine.project import Scene, StageSettings
-from nishiki.engine.running_lock import MARK, RUNS, registered, scenes_to_make
+from nishiki.engine.running_lock import MARK, RUNS, register_run, scenes_to_make
 from nishiki.engine.workflow import Workflow
 
 NAMES = ("first", "second", "third")
@@ -198,10 +198,10 @@ def test_the_key_of_a_stage_is_the_digest_of_one_canonical_text():
 
 def test_the_engine_of_a_run_is_told_which_scenes_are_left(tmp_path, monkeypatch):
     assert scenes_to_make(tmp_path, NAMES) == list(NAMES)
-    with registered(tmp_path, NAMES) as run:
+    with register_run(tmp_path, NAMES) as run:
         monkeypatch.setenv(MARK, run.facts["id"])
         assert scenes_to_make(tmp_path, NAMES) == list(NAMES)
-        run.leave_out_finished({"third", "first"})
+        run.record_unfinished({"third", "first"})
         assert scenes_to_make(tmp_path, NAMES) == ["first", "third"]
         run.ended = "done"
     assert not list((tmp_path / RUNS).glob("*.json"))

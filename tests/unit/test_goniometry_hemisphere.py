@@ -10,27 +10,20 @@ from scipy.interpolate import BSpline, LinearNDInterpolator
 from scipy.interpolate import NearestNDInterpolator as Nearest
 
 from nishiki.errors import UserError
-from nishiki.goniometry.directions import angles, between, departure, disc, images, reduced, unit
+from nishiki.goniometry.directions import angles, between, departure, disc, images, reduce_pairs, unit
 from nishiki.goniometry.hemisphere import (
     choose_symmetry,
     complete,
     coverage,
     directional_albedo,
-    gathered,
+    gather_views,
     grid_axes,
     interpolate,
     solid_angles,
     spread,
     within_hull,
 )
-from nishiki.goniometry.interpolation import (
-    MARGIN,
-    coefficients,
-    evaluate,
-    fit_spline,
-    symmetric_kernel,
-    trend_terms,
-)
+from nishiki.goniometry.interpolation import MARGIN, coefficients, evaluate, fit_spline, symmetric_kernel, trend_terms
 from nishiki.goniometry.table import BasicReflectance, Reflectances, ReflectanceSet, write_reflectances
 from nishiki.stages.goniometer_samples import OUTPUTS
 from nishiki.stages.goniometer_samples.run import coverage_plot
@@ -84,9 +77,9 @@ def test_one_representative_for_each_set_of_images(symmetry):
     incident[:50] = NORMAL
     incident[50:100, 0], incident[100:150, 1] = 0.0, 0.0
     incident /= np.linalg.norm(incident, axis=1, keepdims=True)
-    first = reduced(incident, outgoing, symmetry)
+    first = reduce_pairs(incident, outgoing, symmetry)
     for image in images(symmetry):
-        again = reduced(incident @ image.T, outgoing @ image.T, symmetry)
+        again = reduce_pairs(incident @ image.T, outgoing @ image.T, symmetry)
         np.testing.assert_allclose(again[0], first[0], atol=1e-15)
         np.testing.assert_allclose(again[1], first[1], atol=1e-15)
     same = [
@@ -184,7 +177,7 @@ def test_spline_has_the_symmetry_and_its_left_out_errors_are_real(symmetry):
 def test_spline_smooths_noise_and_keeps_what_is_exact():
     outgoing = views()
     values = lobe(outgoing)
-    points, logs, *_ = gathered(disc(outgoing), values, np.zeros_like(values))
+    points, logs, *_ = gather_views(disc(outgoing), values, np.zeros_like(values))
     exact = fit_spline(points, logs, np.zeros(len(points)), FOLDS["quarter"])
     np.testing.assert_allclose(exact(points), logs, atol=1e-4)
     assert exact.smoothing <= 1e-9
@@ -293,12 +286,12 @@ def test_any_scale_and_any_positive_values(scale, seed, spreads):
 def test_repeats_and_crowds_are_averaged():
     outgoing = np.repeat(views(), 3, axis=0)
     values = lobe(outgoing) * np.exp([0.1, 0.0, -0.1] * (len(outgoing) // 3))[:, None]
-    points, logs, sigma, _ = gathered(disc(outgoing), values, 0.03 * values)
+    points, logs, sigma, _ = gather_views(disc(outgoing), values, 0.03 * values)
     assert len(points) == 141  # ten azimuths at the pole are one
     apart = np.flatnonzero(np.linalg.norm(points, axis=1) > 0.1)[0]
     assert sigma[apart] == pytest.approx(0.03 / 3**0.5)
     crowd = spread(20000)
-    points, logs, *_ = gathered(disc(crowd), lobe(crowd), np.zeros((20000, 3)))
+    points, logs, *_ = gather_views(disc(crowd), lobe(crowd), np.zeros((20000, 3)))
     assert 400 < len(points) <= 1500
     back = unit(np.hypot(*points.T) * np.pi / 2, np.arctan2(points[:, 1], points[:, 0]))
     np.testing.assert_allclose(logs, np.log(lobe(back)), atol=0.2)

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from nishiki.goniometry.directions import unit
 from nishiki.goniometry.readings import (
     TILE,
+    ClothPhotograph,
     Regions,
     assign_boards,
     average_repeats,
@@ -18,7 +19,6 @@ from nishiki.goniometry.readings import (
     reflectance,
     regions_in_view,
 )
-from nishiki.observations.goniometer_store import Photograph
 
 NAN = float("nan")
 
@@ -176,7 +176,7 @@ def test_repeats_are_one_measurement_weighted_by_exposure():
 
 def photograph(value, *, hot=False, shape=(24, 30)):
     linear = np.broadcast_to(np.asarray(value, np.float32), (*shape, 2))
-    return Photograph(linear, np.full(shape, hot), np.ones(shape, bool))
+    return ClothPhotograph(linear, np.full(shape, hot), np.ones(shape, bool))
 
 
 def test_regions_have_values_of_their_own_and_boards_their_unevenness():
@@ -188,8 +188,8 @@ def test_regions_have_values_of_their_own_and_boards_their_unevenness():
     samples = np.array([(0.0, 0.0, 0.0, 0.0)])
     shape = {"usable": np.ones((24, 30), bool), "saturated": np.zeros((24, 30), bool)}
     found = read_all(
-        lambda i: Photograph(fall * cloths, **shape),
-        lambda i: Photograph(fall / np.pi, **shape),
+        lambda i: ClothPhotograph(fall * cloths, **shape),
+        lambda i: ClothPhotograph(fall / np.pi, **shape),
         (samples, np.array([(0.0, 0.0, 0.0, 0.0)])),
         white_reflectance=np.array([1.0, 0.5]),
         window_px=4,
@@ -205,7 +205,7 @@ def test_saturated_and_dark_readings_are_not_valid():
     angles = np.zeros((4, 4))
     none = np.zeros((24, 30), bool)
     pictures = [photograph([0.2, 0.1]), photograph([0.2, 0.1], hot=True), photograph([0.2, -1e-6])]
-    pictures.append(Photograph(np.ones((24, 30, 2), np.float32), none, none))
+    pictures.append(ClothPhotograph(np.ones((24, 30, 2), np.float32), none, none))
     found = read_all(lambda i: pictures[i], lambda i: photograph([0.5, 0.5]), (angles, np.array([(0, 0, NAN, NAN)])),
                      white_reflectance=np.ones(2), window_px=8)  # fmt: skip
     assert found.valid[:, 0].tolist() == [True, False, False, False]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from benchmarks.cloth_peers import Ward
 
-from nishiki.brdf.half_vector_table import HalfVectorTable, unwarped, warped
+from nishiki.brdf.half_vector_table import HalfVectorTable, unwarp, warp
 from nishiki.optional_formats.reflectance_tables import bsdf_bytes
 
 WARD = Ward(diffuse=np.array([0.05, 0.04, 0.1]), specular=np.full(3, 0.2), alpha_x=0.5, alpha_y=0.2)
@@ -117,10 +117,10 @@ def test_the_warp_and_its_inverse():
     densities = random.uniform(0.1, 1, (2, 1, 9, 7))
     s, t = random.uniform(size=(2, 50))
     ones = np.ones(50)
-    x, y = warped(densities[1, 0], s, t)
-    again = unwarped(densities, [(ones, (ones.astype(int), 0 * ones.astype(int)))], x, y)
+    x, y = warp(densities[1, 0], s, t)
+    again = unwarp(densities, [(ones, (ones.astype(int), 0 * ones.astype(int)))], x, y)
     np.testing.assert_allclose(again, (s, t), atol=1e-9)
-    even = warped(np.ones((5, 5)), s, t)
+    even = warp(np.ones((5, 5)), s, t)
     np.testing.assert_allclose(even, (s, t), atol=1e-12)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from nishiki.geometry.camera import NO_DISTORTION, look_at
-from nishiki.geometry.hollows import Photographed, contradicted_regions, sink_hollows
+from nishiki.geometry.hollows import ShadingPhotographs, contradicted_regions, sink_hollows
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.visibility import interpolate, rasterise
 
@@ -57,7 +57,7 @@ def photographed(body, distortion=NO_DISTORTION):
         silhouettes.append(raster.triangle >= 0)
         pictures[-1][~silhouettes[-1]] = 0
         cameras.append(camera)
-    return Photographed.of(pictures, silhouettes, cameras)
+    return ShadingPhotographs.of(pictures, silhouettes, cameras)
 
 
 def depths_of(mesh, scene):

@@ -174,7 +174,7 @@ def test_bad_silhouettes_are_reported():
     apart = [np.zeros_like(mask) for mask in masks]
     for index, mask in enumerate(apart):
         mask[(5 if index % 2 else 100) :, :][:10, 20:30] = True
-    with refused(UserError, by="_solved"):
+    with refused(UserError, by="_solve_extent"):
         carve(apart, cameras, cells=16)
 
 

@@ -63,7 +63,7 @@ def photographed(size: int, *, hollow: bool = True, level: float = 1.0, white_bo
         values=radiance.astype(np.float32),
         bands=lambda: [slice(0, size // 2), slice(size // 2, size)],
         codes=lambda rows, lights: (radiance[lights, rows], rows.start),
-        decoded=lambda codes, lights, row: (codes.astype(np.float32), valid[lights, row : row + codes.shape[1]]),
+        decode=lambda codes, lights, row: (codes.astype(np.float32), valid[lights, row : row + codes.shape[1]]),
     )
 
 
@@ -138,13 +138,13 @@ def test_lamps_that_give_no_normals_throw_no_light():
 
 def test_a_lamp_without_samples_decides_nothing():
     frames = photographed(48)
-    whole = frames.decoded
+    whole = frames.decode
 
     def decoded(codes: np.ndarray, lights: np.ndarray, row: int) -> tuple[np.ndarray, np.ndarray]:
         values, valid = whole(codes, lights, row)
         return values, valid & (lights != 3)[:, None, None]
 
-    frames.decoded = decoded
+    frames.decode = decoded
     assert find_thrown_light(frames, np.arange(17), NormalsSettings())[0] is not None
 
 

@@ -17,7 +17,7 @@ from nishiki.geometry.scans import (
     mesh_set,
     missing_filters,
     register,
-    thinned,
+    thin_points,
 )
 from nishiki.geometry.surface import distances, shape_of, without_small_parts
 
@@ -92,7 +92,7 @@ def test_scans_of_different_things_are_reported():
 
 def test_thinning_is_even_and_normals_are_right():
     points = body(5).vertices
-    few = thinned(points, 500)
+    few = thin_points(points, 500)
     assert 400 < len(few) < 650
     cloud = cloud_of(trimesh.creation.icosphere(5).vertices, most=800)
     assert (np.abs(np.einsum("ij,ij->i", cloud.normals, cloud.points)) > 0.99).all()

@@ -6,7 +6,7 @@ import pytest
 from turned_cameras import box, torus, turn
 
 from nishiki.geometry.hull import carve
-from nishiki.geometry.placement import agreement, outline_of, overruled, shaded
+from nishiki.geometry.placement import agreement, find_overruled, outline_of, shade_from_camera
 from nishiki.geometry.silhouettes import at_half_cover, display, live_area, nearest_colour, segment
 
 ROWS, COLUMNS = 240, 320
@@ -130,7 +130,7 @@ def test_background_that_a_view_sees_alone_is_overruled():
     masks[8][:, 80:] &= False  # half of the body missed
     loose = carve(masks, cameras, cells=64, misses=1)
     bright = np.zeros(masks[0].shape, bool)
-    more = [overruled(loose.mesh, *view, bright, loose.cell) for view in zip(cameras, masks, strict=True)]
+    more = [find_overruled(loose.mesh, *view, bright, loose.cell) for view in zip(cameras, masks, strict=True)]
     lost = true[8] & ~masks[8]
     assert (more[8] & lost).sum() > 0.9 * lost.sum()
     for each, mask, body in zip(more, masks, true, strict=True):
@@ -147,10 +147,10 @@ def test_a_dark_gap_across_a_thin_part_is_overruled_and_a_bright_one_is_not():
     masks[3] = true & ~gap
     loose = carve(masks, cameras, cells=64, misses=1)
     left = true & (np.arange(true.shape[1]) < middle[1])  # half of the ring, too long a gap to be closed across
-    without = overruled(loose.mesh, cameras[3], true & ~left, np.ones(true.shape, bool), loose.cell)
+    without = find_overruled(loose.mesh, cameras[3], true & ~left, np.ones(true.shape, bool), loose.cell)
     assert (without & left).sum() > 0.9 * left.sum()
     for dark in (True, False):
-        more = overruled(loose.mesh, cameras[3], masks[3], np.full(true.shape, dark), loose.cell)
+        more = find_overruled(loose.mesh, cameras[3], masks[3], np.full(true.shape, dark), loose.cell)
         assert ((more & gap).sum() > 0.6 * gap.sum()) == dark
 
 
@@ -163,7 +163,7 @@ def test_outline_and_shading_of_a_mesh():
     mesh = Mesh.of(block.vertices, block.faces)
     for camera in turn(5):
         assert agreement(outline_of(mesh, camera), box(camera)) > 0.999
-        picture = shaded(mesh, camera)
+        picture = shade_from_camera(mesh, camera)
         assert (picture[~outline_of(mesh, camera)] == 20).all()
         assert picture[outline_of(mesh, camera)].min() >= 30
 

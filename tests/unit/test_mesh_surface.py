@@ -14,8 +14,8 @@ from nishiki.geometry.surface import (
     point_to_triangle,
     sample,
     shape_of,
-    smoothed,
-    snapped,
+    smooth_outline_steps,
+    snap,
     without_small_parts,
 )
 
@@ -143,11 +143,11 @@ def test_smoothing_takes_noise_away_within_its_bound():
     cameras, full = turn(6), ball()
     rng = np.random.default_rng(5)
     noisy = Mesh.of(full.vertices * (1 + 0.004 * rng.normal(size=(len(full.vertices), 1))), full.triangles)
-    smooth = smoothed(noisy, cameras, most_px=5.0)
+    smooth = smooth_outline_steps(noisy, cameras, most_px=5.0)
     before, after = (np.std(np.linalg.norm(m.vertices, axis=1)) for m in (noisy, smooth))
     assert after < 0.5 * before
     assert shape_of(smooth).volume == pytest.approx(shape_of(full).volume, rel=0.01)
-    little = smoothed(noisy, cameras, most_px=0.1)
+    little = smooth_outline_steps(noisy, cameras, most_px=0.1)
     moved = np.linalg.norm(little.vertices - noisy.vertices, axis=1) * pixels_per_unit(noisy.vertices, cameras)
     assert moved.max() <= 0.1 + 1e-9
 
@@ -156,7 +156,7 @@ def test_snapping_drops_what_vanishes():
     mesh = Mesh.of(
         np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1.01, 0, 0], [1.02, 0.01, 0.0]]), np.array([[0, 1, 2], [1, 3, 4]])
     )
-    found = snapped(mesh, 0.25)
+    found = snap(mesh, 0.25)
     assert len(found.triangles) == 1
     assert len(found.vertices) == 3
     np.testing.assert_array_equal(found.vertices % 0.25, 0)

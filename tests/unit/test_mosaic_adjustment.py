@@ -8,7 +8,7 @@ from benchmarks.cut_mosaic import picture_places, place_fields
 from scipy.optimize import least_squares
 
 from nishiki.errors import UserError
-from nishiki.mosaic.adjustment import LENSES, Placement, adjust, solve
+from nishiki.mosaic.adjustment import LENSES, FieldPlacement, adjust, solve
 from nishiki.mosaic.registration import Field, Overlap
 
 
@@ -48,7 +48,7 @@ def adjusted(truth):
     return adjust(fields_of(truth), matches(truth))
 
 
-def aligned_error(placement: Placement, truth: list[dict]) -> np.ndarray:
+def aligned_error(placement: FieldPlacement, truth: list[dict]) -> np.ndarray:
     """Distance from the truth in pixels over all fields, after the best shift, turn and scale of the whole."""
     got, expected = [], []
     for i, field in enumerate(truth):
@@ -93,7 +93,7 @@ def test_adjustment_is_that_of_a_general_solver(truth):
 
     def differences(state: np.ndarray) -> np.ndarray:
         own, lens = np.r_[0, 0, state[:10]].reshape(3, 4), np.array([state[10], 0, 0, 0])
-        trial = Placement(tuple(fields), own[:, :2], own[:, 2], np.exp(own[:, 3]), lens, np.zeros(3))
+        trial = FieldPlacement(tuple(fields), own[:, :2], own[:, 2], np.exp(own[:, 3]), lens, np.zeros(3))
         apart = [trial.to_mosaic(o.first, o.points[0]) - trial.to_mosaic(o.second, o.points[1]) for o in overlaps]
         return np.r_[np.concatenate(apart).ravel() / 0.05, 1e4 * own[:, 2:].sum(axis=0), own[:, 2:].ravel() / 0.01,
                      lens[0] / 0.05]  # fmt: skip

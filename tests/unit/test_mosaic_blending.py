@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from mosaics import cut_relief, painted_relief
 
-from nishiki.mosaic.adjustment import Placement, adjust
+from nishiki.mosaic.adjustment import FieldPlacement, adjust
 from nishiki.mosaic.blending import (
     Levels,
     Samples,
@@ -39,7 +39,7 @@ def shifted(count: int, seed: int = 1):
     fields = tuple(Field(f"f{k}", (rows, columns), None, centre) for k in range(count))
     position = centre + np.array([(0, 0), (30, 4), (12, 25)])[:count]
     zero = np.zeros(count)
-    return Placement(fields, position, zero, zero + 1, np.zeros(4), zero), maps
+    return FieldPlacement(fields, position, zero, zero + 1, np.zeros(4), zero), maps
 
 
 def test_blend_is_the_weighted_mean_pixel_by_pixel():

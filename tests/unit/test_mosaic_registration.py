@@ -8,14 +8,7 @@ from mosaics import cut_relief, painted_relief
 
 from nishiki.errors import UserError
 from nishiki.mosaic.adjustment import adjust
-from nishiki.mosaic.registration import (
-    enlarge,
-    fit_similarity,
-    match_window,
-    reduce_field,
-    register_fields,
-    signals,
-)
+from nishiki.mosaic.registration import enlarge, fit_similarity, match_window, reduce_field, register_fields, signals
 
 ROWS, COLUMNS = 420, 560
 

@@ -6,7 +6,7 @@ import pytest
 
 from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 from nishiki.photometric.light_selection import select_diffuse
-from nishiki.photometric.solve import SOMEWHAT, SUSPECT, WORSE, distrusted, estimate_normals, lambertian
+from nishiki.photometric.solve import SOMEWHAT, SUSPECT, WORSE, estimate_normals, find_distrusted, lambertian
 
 
 def unit(vectors):
@@ -45,7 +45,7 @@ def test_reference():
     usable[:3], known[:3] = 1, 1
     outputs = lambertian(stack, lights, usable, 1e4)
     assert ((outputs[3] & NO_ESTIMATE) == 0).all()
-    found = distrusted(stack, lights, usable, known, outputs)
+    found = find_distrusted(stack, lights, usable, known, outputs)
     np.testing.assert_array_equal(found, np.flatnonzero(reference(stack, lights, usable, known)))
     assert 20 < len(found) < 380
 
@@ -76,7 +76,7 @@ def test_gloss_left_out_stays_left_out():
     usable[np.argsort(x)[:4], 1] = 0  # too bright where no gloss is
     stack[usable == 0] *= 1.3
     known = np.ones_like(usable)
-    found = distrusted(stack, lights, usable, known, lambertian(stack, lights, usable, 1e4))
+    found = find_distrusted(stack, lights, usable, known, lambertian(stack, lights, usable, 1e4))
     assert found.tolist() == [1]
 
 
@@ -85,7 +85,7 @@ def test_pixels_without_lamps_enough_stay_without():
     usable = np.zeros((16, 3), np.uint8)
     usable[:2] = 1
     stack, known = np.ones((16, 3), np.float32), np.ones((16, 3), np.uint8)
-    assert not len(distrusted(stack, lights, usable, known, lambertian(stack, lights, usable, 1e4)))
+    assert not len(find_distrusted(stack, lights, usable, known, lambertian(stack, lights, usable, 1e4)))
 
 
 @pytest.mark.data

@@ -8,7 +8,7 @@ import pytest
 from refusals import refused
 
 from nishiki.errors import UserError
-from nishiki.photometric.interreflection import Facets, lambert
+from nishiki.photometric.interreflection import FacetGrid, lambert
 from nishiki.stages.normals.run import AXES, angles, find_given
 
 ROWS, COLUMNS, CORNER = 48, 40, (6, 9)
@@ -32,7 +32,7 @@ def field(normals):
     )
     seen = lambert(normals, LAMPS)
     known = np.ones((ROWS, COLUMNS), bool)
-    return frames, Facets(seen, seen[..., 0] > 0, LAMPS, lambda values, valid, directions: (normals, known, valid))
+    return frames, FacetGrid(seen, seen[..., 0] > 0, LAMPS, lambda values, valid, directions: (normals, known, valid))
 
 
 def write(path, vectors, *, whole=True):

@@ -16,14 +16,7 @@ from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.stages.export import OBJECT_LIMITS as LIMITS
 from nishiki.stages.export import object as object_export
 from nishiki.stages.export.object import pitch_mm
-from nishiki.stages.export.object_look import (
-    ALPHA_PER_SIGMA,
-    ObjectLook,
-    SeenPoints,
-    fill_gaps,
-    sample,
-    texture_atlas,
-)
+from nishiki.stages.export.object_look import ALPHA_PER_SIGMA, ObjectLook, SeenPoints, fill_gaps, sample, texture_atlas
 
 
 @pytest.fixture(scope="module")
@@ -157,7 +150,7 @@ def test_addresses_of_views_are_those_of_their_files_whatever_the_views_are_call
 def test_with_one_strength_each_highlight_keeps_its_height():
     specular, roughness = np.array([[20, 60], [120, 0]], np.uint8), np.array([[150, 120], [180, 90]], np.uint8)
     look = ObjectLook(None, None, np.zeros((2, 2, 3), np.uint8), roughness, specular, factor=2.0, scale=1.0, clipped=0)
-    one = look.of_one_strength()
+    one = look.with_mean_strength()
     assert (one.specular == 50).all()
     along_normal = [
         each.specular / 255 * each.normal_reflectance * isotropic_lobe(*np.ones((3, 2, 2)), (each.roughness / 255) ** 2)
@@ -166,5 +159,5 @@ def test_with_one_strength_each_highlight_keeps_its_height():
     strong = specular > 0
     np.testing.assert_allclose(along_normal[1][strong], along_normal[0][strong], rtol=4 / 150)  # 8 bits, four times
     assert one.roughness[1, 1] == 255  # no gloss at all: as wide as it can be
-    matte = replace(look, specular=np.zeros_like(specular)).of_one_strength()
+    matte = replace(look, specular=np.zeros_like(specular)).with_mean_strength()
     np.testing.assert_array_equal(matte.roughness, roughness)

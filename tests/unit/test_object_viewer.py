@@ -60,7 +60,9 @@ def test_the_page_holds_the_coded_streams_byte_for_byte(decoded):
     streams = whole[head_length(whole) :]
     at = {"parameters": 0, "residual": 0}
     for tile in range(residual.tiles):
-        for (part, data), length in zip(parts, (residual.stored(tile)[0], sum(residual.stored(tile)[1:])), strict=True):
+        for (part, data), length in zip(
+            parts, (residual.stream_bytes(tile)[0], sum(residual.stream_bytes(tile)[1:])), strict=True
+        ):
             name = part["name"].split("-")[0]
             assert data[at[name] : at[name] + length] == streams[:length]
             streams, at[name] = streams[length:], at[name] + length

@@ -11,7 +11,7 @@ import pytest
 
 from nishiki.artifacts.provenance import SOURCE, stage_program
 from nishiki.errors import UserError
-from nishiki.installation import EXTRAS, MODULES, install_command, installed, loaded, optional
+from nishiki.installation import EXTRAS, MODULES, install_command, is_installed, list_loaded, optional
 from nishiki.stages.table import CHAIN
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -101,9 +101,9 @@ def test_optional_packages_are_taken_where_this_list_says():
 
 @pytest.mark.parametrize("command", ["nishiki.cli", "nishiki.commands.inspecting"])
 def test_the_command_line_loads_nothing_heavy(command):
-    code = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import {command}; from nishiki.installation import loaded"
+    code = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import {command}; from nishiki.installation import list_loaded"
     done = subprocess.run(
-        [sys.executable, "-c", f"{code}; print(*loaded())"], capture_output=True, text=True, check=True
+        [sys.executable, "-c", f"{code}; print(*list_loaded())"], capture_output=True, text=True, check=True
     )
     assert set(done.stdout.split()) <= (set() if command.endswith("cli") else LIGHT)
 
@@ -125,7 +125,7 @@ def test_every_optional_package_that_a_stage_declares_has_a_condition():
 
 def test_a_missing_extra_is_told_with_the_command_that_installs_it(monkeypatch):
     monkeypatch.setitem(MODULES, "trimesh", "trimesh_that_nobody_has")
-    assert not installed("trimesh")
+    assert not is_installed("trimesh")
     with pytest.raises(UserError, match=r"\./nishiki install --extras mesh"):
         optional("trimesh")
 
@@ -148,6 +148,6 @@ def test_what_numba_takes_of_scipy_is_not_counted(monkeypatch):
     for name in [name for name in sys.modules if name.startswith("scipy")]:
         monkeypatch.delitem(sys.modules, name)
     importlib.import_module("scipy.linalg")
-    assert "scipy" not in loaded()
+    assert "scipy" not in list_loaded()
     importlib.import_module("scipy.fft")
-    assert "scipy" in loaded()
+    assert "scipy" in list_loaded()

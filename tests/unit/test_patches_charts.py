@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
+from nishiki.atlas.adjacency import across_edges, borders, components, smooth_over_triangles, smoothed_vertices, spread
 from nishiki.atlas.atlas import build_atlas
 from nishiki.atlas.charts import (
     directions_of,
@@ -157,7 +157,7 @@ def test_components_spread_and_borders():
 
 def test_smoothing():
     neighbours = np.array([[1, -1, -1], [0, -1, -1]], np.int32)
-    vectors = smoothed(np.array([[1.0, 0, 0], [0, 1, 0]]), np.array([3.0, 4.0]), neighbours, rounds=1)
+    vectors = smooth_over_triangles(np.array([[1.0, 0, 0], [0, 1, 0]]), np.array([3.0, 4.0]), neighbours, rounds=1)
     np.testing.assert_allclose(vectors, [[0.6, 0.8, 0], [0.6, 0.8, 0]])
     points = np.array([[0.0, 0, 0], [2, 0, 0], [0, 2, 0], [9, 9, 9]])
     moved = smoothed_vertices(points, np.array([[0, 1, 2]], np.int32), rounds=1)

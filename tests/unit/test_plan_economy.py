@@ -158,7 +158,7 @@ def test_exr_photographs_need_no_opencv_in_ingest():
     ],
 )  # fmt: skip
 def test_a_capture_in_one_line(facts, figures):
-    assert re.findall(r"[\d.]+", inspecting.described(facts)) == figures
+    assert re.findall(r"[\d.]+", inspecting.describe_capture(facts)) == figures
 
 
 @pytest.mark.parametrize(("seconds", "text"), [(0.4, "0 s"), (59, "59 s"), (130, "2 min"), (9000, "2 h")])
@@ -177,7 +177,7 @@ def test_a_missing_package_stops_the_run_with_the_command_that_installs_it(monke
     flow = _Flow(planned(OBJECT, "render"))
     monkeypatch.setattr(inspecting, "stage_state", lambda flow, scene, stage: ("run", []))
     inspecting.expect_packages(flow)
-    monkeypatch.setattr(inspecting, "installed", lambda package: package not in ("trimesh", "av"))
+    monkeypatch.setattr(inspecting, "is_installed", lambda package: package not in ("trimesh", "av"))
     with refused(UserError, "/nishiki", "--extras"):
         inspecting.expect_packages(flow)
     monkeypatch.setattr(inspecting, "stage_state", lambda flow, scene, stage: ("done", []))

@@ -10,7 +10,7 @@ from refusals import expect_facts
 
 import nishiki
 from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.artifacts.outputs import Output, as_declared
+from nishiki.artifacts.outputs import Output, convert_to_declared
 from nishiki.stages.table import CHAIN
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -56,13 +56,13 @@ def test_arrays_of_maps_are_written_as_they_are_declared(tmp_path):
     with pytest.raises(KeyError):
         out.create("undeclared")
     named = (Output("v/COMPONENT", "float32", "", "", "pair 3"), Output("used", "uint8", "", "", "pair"))
-    got = as_declared(named, {"v/total": np.zeros((4, 3)), "used": np.ones(4, bool)})
+    got = convert_to_declared(named, {"v/total": np.zeros((4, 3)), "used": np.ones(4, bool)})
     assert [str(values.dtype) for values in got.values()] == ["float32", "uint8"]
     for shape, used in (((4, 2), 4), ((4,), 4), ((4, 3), 5)):
         with pytest.raises(ValueError, match="axes"):
-            as_declared(named, {"v/total": np.zeros(shape), "used": np.ones(used)})
+            convert_to_declared(named, {"v/total": np.zeros(shape), "used": np.ones(used)})
     with pytest.raises(KeyError):
-        as_declared(named, {"unnamed": np.zeros(4)})
+        convert_to_declared(named, {"unnamed": np.zeros(4)})
     programs = (Path(nishiki.__file__).parent / "stages").rglob("*.py")
     assert not [path for path in programs if "MapWriter(" in path.read_text(encoding="utf-8")]
 

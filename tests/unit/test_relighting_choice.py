@@ -6,12 +6,12 @@ from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.model_selection.relighting import (
     ERRORS,
     MARGIN,
-    Fitted,
-    Sampled,
+    CandidateFit,
+    RelightingSample,
     choose_model,
-    interpolated,
     joint_fit_counts,
     left_out_errors,
+    select_surrounded,
 )
 from nishiki.observations.plane import Parcel
 from nishiki.stages.normals import NormalsSettings
@@ -36,13 +36,13 @@ def piece(lights, factor=1.0, scale=1.0):
     values = np.float32(np.round(values * 255) / 255 / scale)[:, None]
     seen = np.ones((len(lights), 1, PIXELS), bool)
     parcel = Parcel(slice(0, 1), slice(0, PIXELS), lights, np.full(len(lights), scale, np.float32))
-    return Sampled(values, seen, seen, parcel)
+    return RelightingSample(values, seen, seen, parcel)
 
 
 def fit(sampled):
     maps = solve(sampled.observations, sampled.usable, sampled.valid, sampled.parcel, NormalsSettings())
     return {
-        name: Fitted(maps | relit(sampled.observations, sampled.valid, sampled.parcel, maps, name))
+        name: CandidateFit(maps | relit(sampled.observations, sampled.valid, sampled.parcel, maps, name))
         for name in ("plain", "directional")
     }
 
@@ -88,7 +88,7 @@ def test_errors_are_those_of_the_left_out_lamps():
         left_out = np.setdiff1d(np.arange(10), [int(np.argmin(np.abs(lights - d).sum(1))) for d in fits[-1]])
         first = left_out[0]
         exact = sampled.observations[first] * 2.0 / lights[first, 2]
-        return {"black": Fitted(maps, matt), "first": Fitted(maps | {"reflectance": exact}, matt)}
+        return {"black": CandidateFit(maps, matt), "first": CandidateFit(maps | {"reflectance": exact}, matt)}
 
     errors = left_out_errors([sampled], flat)
     assert [len(kept) for kept in fits] == [8] * 5
@@ -100,13 +100,13 @@ def test_errors_are_those_of_the_left_out_lamps():
 def test_lamps_outside_of_the_others_do_not_count():
     around = np.arange(9) * 2 * np.pi / 9
     ring = np.column_stack([0.7 * np.cos(around), 0.7 * np.sin(around), np.full(9, 0.714)])
-    assert interpolated(ring).all()
+    assert select_surrounded(ring).all()
     inner = ring * [0.5, 0.5, 1]
     far = np.array([[0.0, 0.95, 0.31]])
     lights = np.concatenate([ring, inner, far])
-    assert np.flatnonzero(~interpolated(lights)).tolist() == [18]
+    assert np.flatnonzero(~select_surrounded(lights)).tolist() == [18]
     few = np.concatenate([ring[:3], far])  # nearly all are outside: then all count
-    assert interpolated(few).all()
+    assert select_surrounded(few).all()
 
 
 def test_the_margin_and_the_scatter_of_the_lamps():

@@ -50,7 +50,7 @@ def png_chunks(path):
 
 
 def test_a_full_disk_is_told_by_the_system_s_reason(tmp_path, monkeypatch):
-    monkeypatch.setattr("nishiki.render.display._unfinished", lambda path: "/dev/full")
+    monkeypatch.setattr("nishiki.render.display._temporary_path", lambda path: "/dev/full")
     with pytest.raises(OSError) as told:
         write_exr(tmp_path / "x.exr", picture(), stamp={})
     assert told.value.errno == errno.ENOSPC

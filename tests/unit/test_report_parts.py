@@ -19,7 +19,7 @@ from nishiki.report.pictures import (
     block_of,
     bright_picture,
     class_picture,
-    coloured,
+    colour_map,
     file_picture,
     heat,
     hillshade,
@@ -29,11 +29,23 @@ from nishiki.report.pictures import (
     sea,
 )
 from nishiki.report.scene_page import conditions, flat, settings_rows, text
-from nishiki.report.svg import Axis, Curve, bars, chart, degrees, figure, lights_plot, percent, plain, signed, ticks
+from nishiki.report.svg import (
+    ChartAxis,
+    ChartCurve,
+    bars,
+    chart,
+    degrees,
+    figure,
+    format_signed,
+    lights_plot,
+    percent,
+    plain,
+    ticks,
+)
 from nishiki.stages.render import RenderSettings
-from nishiki.stages.report.painting import choices, describe, exposed, gloss_blocks, verdict
+from nishiki.stages.report.painting import choices, describe, describe_exposure, gloss_blocks, verdict
 from nishiki.stages.report.painting_prediction import chosen, signed_differences
-from nishiki.stages.report.painting_surface import _of_places, spread_out
+from nishiki.stages.report.painting_surface import _draw_places, spread_out
 from nishiki.stages.separate import SeparateSettings
 
 
@@ -58,7 +70,7 @@ def test_lightness_of_a_colour_map_grows_evenly(table):
 
 def test_coloured_clips_and_marks_what_is_missing():
     table = heat()
-    found = coloured(np.array([[-5.0, 0.0, 1.0, 9.0, np.nan]]), table, 0.0, 1.0)
+    found = colour_map(np.array([[-5.0, 0.0, 1.0, 9.0, np.nan]]), table, 0.0, 1.0)
     assert found[0, 0].tolist() == found[0, 1].tolist() == table[0].tolist()
     assert found[0, 2].tolist() == found[0, 3].tolist() == table[255].tolist()
     assert found[0, 4].tolist() == MISSING.tolist()
@@ -160,14 +172,16 @@ def test_ticks_are_round_and_inside(low, span):
 
 
 def test_a_chart_is_well_formed_whatever_the_names():
-    svg = chart([Curve('a<b>&"c', np.arange(3), np.array([0.0, np.nan, 1.0]))], x_label="<x>", y_label="&", title='"t"')
+    svg = chart(
+        [ChartCurve('a<b>&"c', np.arange(3), np.array([0.0, np.nan, 1.0]))], x_label="<x>", y_label="&", title='"t"'
+    )
     root = ElementTree.fromstring(svg)
     assert root.attrib["aria-label"] == '"t"'
     assert chart([], x_label="x", y_label="y", title="empty").startswith("<svg")
 
 
 def test_points_outside_a_chart_are_not_drawn():
-    curve = Curve("", np.array([0.5, 0.5, 5.0]), np.array([0.5, 9.0, 0.5]), dots=True)
+    curve = ChartCurve("", np.array([0.5, 0.5, 5.0]), np.array([0.5, 9.0, 0.5]), dots=True)
     svg = chart([curve], x_label="x", y_label="y", title="t", x_range=(0, 1), y_range=(0, 1))
     assert svg.count("<circle") == 1
 
@@ -243,7 +257,7 @@ def test_marks_stand_at_the_places_whose_spectra_are_drawn():
     rng = np.random.default_rng(4)
     small = rng.uniform(0.1, 0.9, (12, 15, 3)).astype(np.float32)
     basis = np.abs(rng.normal(0.3, 0.1, (3, 61)))
-    charts, marks = _of_places(small, small @ np.eye(3), basis, np.full((12, 15, 61), 0.1), 4)
+    charts, marks = _draw_places(small, small @ np.eye(3), basis, np.full((12, 15, 61), 0.1), 4)
     assert [text for _, _, text in marks] == [str(k + 1) for k in range(len(charts))]
     for chart_, (x, y, number) in zip(charts, marks, strict=True):
         assert chart_.heading == f"{number}: row {int(y) * 4 + 2}, column {int(x) * 4 + 2}"
@@ -262,13 +276,13 @@ def test_the_signed_difference_is_the_luminance_of_what_was_predicted_too_much()
     assert np.isnan(found[:, 0]).all()
     assert end == 5
     assert signed_differences([{**pair, "predicted": observed}])[1] == 1
-    middle = coloured(np.zeros((1, 1)), balance(), -5, 5)[0, 0].astype(int)
+    middle = colour_map(np.zeros((1, 1)), balance(), -5, 5)[0, 0].astype(int)
     assert np.ptp(middle) <= 4  # no error is grey
-    assert [signed(v) for v in (None, 0.0, -0.0004, -0.012)] == ["–", "0\u202f%", "0\u202f%", "−1.2\u202f%"]
+    assert [format_signed(v) for v in (None, 0.0, -0.0004, -0.012)] == ["–", "0\u202f%", "0\u202f%", "−1.2\u202f%"]
 
 
 def test_captions_state_the_exposure():
-    expect_facts(exposed(3.9, chosen=True), "3.9")
+    expect_facts(describe_exposure(3.9, chosen=True), "3.9")
 
 
 def test_parameters_at_a_bound_are_rows_of_the_conditions():
@@ -357,7 +371,7 @@ def test_gloss_of_a_matte_scene_has_no_chart():
 
 @pytest.mark.parametrize(("low", "high"), [(0.9, 30.0), (1e-5, 3.0)])
 def test_a_logarithmic_axis_has_round_ticks_at_their_places(low, high):
-    axis = Axis(low, high, 0.0, 100.0, logarithmic=True)
+    axis = ChartAxis(low, high, 0.0, 100.0, logarithmic=True)
     assert axis.marks() == ([1.0, 2.0, 5.0, 10.0, 20.0] if low > 0.1 else [1e-5, 1e-4, 1e-3, 1e-2, 0.1, 1.0])
     assert axis(high) == pytest.approx(100)
     assert np.isnan(axis(0.0))

@@ -43,8 +43,8 @@ def test_what_is_written_is_read(shape, spread):
     rng = np.random.default_rng(0)
     levels = 0 if shape[-1] == 9 else 3
     blocks = [laplacian(rng, shape, levels, spread) for _ in range(3)]
-    trained = train([encode(block, levels, Model.untrained()) for block in blocks])
-    for model in (Model.untrained(), trained, unpack(pack(trained))):
+    trained = train([encode(block, levels, Model.initial()) for block in blocks])
+    for model in (Model.initial(), trained, unpack(pack(trained))):
         for block in blocks:
             coded = encode(block, levels, model)
             np.testing.assert_array_equal(decode(coded.data, shape, levels, model), block)
@@ -56,14 +56,14 @@ def test_any_integers_survive(entries):
     block = np.zeros((2, 1, 16, 16), np.int32)
     for place, value in entries:
         block.ravel()[place] = value
-    coded = encode(block, 2, Model.untrained())
-    np.testing.assert_array_equal(decode(coded.data, block.shape, 2, Model.untrained()), block)
+    coded = encode(block, 2, Model.initial())
+    np.testing.assert_array_equal(decode(coded.data, block.shape, 2, Model.initial()), block)
 
 
 def test_a_prefix_decodes_the_coarse_bands():
     rng = np.random.default_rng(1)
     block = laplacian(rng, (3, 4, 32, 32), 3, 8.0)
-    coded = encode(block, 3, Model.untrained())
+    coded = encode(block, 3, Model.initial())
     bands = bands_of(32, 32, 3)
     for drop in (1, 2, 3):
         wanted = len(bands) - 3 * drop
@@ -72,13 +72,13 @@ def test_a_prefix_decodes_the_coarse_bands():
         side = 32 >> drop
         expected = np.zeros_like(block)
         expected[..., :side, :side] = block[..., :side, :side]
-        np.testing.assert_array_equal(decode(prefix, block.shape, 3, Model.untrained(), drop=drop), expected)
+        np.testing.assert_array_equal(decode(prefix, block.shape, 3, Model.initial(), drop=drop), expected)
 
 
 def test_contexts_beat_a_general_compressor_and_static_entropy():
     rng = np.random.default_rng(2)
     blocks = [laplacian(rng, (3, 8, 32, 32), 3, 1.5) for _ in range(4)]
-    trained = train([encode(block, 3, Model.untrained()) for block in blocks])
+    trained = train([encode(block, 3, Model.initial()) for block in blocks])
     ours = sum(len(encode(block, 3, trained).data) for block in blocks) + len(pack(trained))
     general = sum(len(zlib.compress(block.astype(np.int16).tobytes(), 9)) for block in blocks)
     static = 0.0
@@ -94,19 +94,19 @@ def test_contexts_beat_a_general_compressor_and_static_entropy():
 def test_training_spares_small_tiles_the_learning():
     rng = np.random.default_rng(3)
     blocks = [laplacian(rng, (3, 6, 16, 16), 2, 1.0) for _ in range(30)]
-    plain = [encode(block, 2, Model.untrained()) for block in blocks]
+    plain = [encode(block, 2, Model.initial()) for block in blocks]
     trained = train(plain)
     assert sum(len(encode(b, 2, trained).data) for b in blocks) < 0.97 * sum(len(c.data) for c in plain)
 
 
 def test_nothing_is_hardly_anything():
     block = np.zeros((3, 18, 64, 64), np.int32)
-    trained = train([encode(block, 4, Model.untrained())] * 20)
+    trained = train([encode(block, 4, Model.initial())] * 20)
     assert len(encode(block, 4, trained).data) < 12
 
 
 def test_damaged_start_states_are_reported():
-    data = pack(train([encode(np.ones((1, 1, 8, 8), np.int32), 1, Model.untrained())]))
+    data = pack(train([encode(np.ones((1, 1, 8, 8), np.int32), 1, Model.initial())]))
     with pytest.raises(UserError, match="damaged"):
         unpack(data[:-7])
     with pytest.raises(UserError, match="version"):

@@ -8,7 +8,7 @@ from turned_sphere import tiles_of_sphere
 from nishiki.codec import pictures as coded_pictures
 from nishiki.codec.allocate import one_pass, pilot
 from nishiki.codec.design import Design
-from nishiki.codec.pictures import PictureSource, decode_picture, pack_strayed, with_strayed
+from nishiki.codec.pictures import PictureSource, attach_strayed, decode_picture, pack_strayed
 from nishiki.codec.solve import Pursuit
 from nishiki.codec.store import PICTURES, STORE, Residual, write_residual
 from nishiki.codec.tile_code import Effort
@@ -41,7 +41,7 @@ def test_pictures_of_the_decoder_are_those_of_the_encoder(tmp_path, monkeypatch,
     pictures = one_pass(source, None, found.at_step(0.02), EFFORT, threads=1)
     missed = [np.zeros(SHAPE, bool) for _ in range(VIEWS)]
     missed[2][40:60, 30:51] = True
-    pictures = with_strayed(pictures, pack_strayed(missed))
+    pictures = attach_strayed(pictures, pack_strayed(missed))
     tiles = tiles_of_sphere(views=VIEWS, pixels=16, size=8, around=2, high=1, sub=1)[:4]
     texels, scene = SphereSource(tiles), scene_of(VIEWS)
     around = pilot(texels, scene, Design(tile_size=8, lights=1, **plain), EFFORT, threads=1).at_step(0.05)

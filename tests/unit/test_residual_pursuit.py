@@ -150,7 +150,7 @@ def test_expected_bits_tell_what_the_coder_needs():
 
     def coded(block):
         integers = np.rint(block[:, 0]).astype(np.int32)
-        model = train([encode(integers, levels, Model.untrained())] * 20)
+        model = train([encode(integers, levels, Model.initial())] * 20)
         return 8 * len(encode(integers, levels, model).data)
 
     assert bits[values != 0].sum() == pytest.approx(coded(values), rel=0.3)

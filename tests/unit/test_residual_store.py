@@ -145,7 +145,7 @@ def test_nothing_is_stored_where_the_model_suffices(sphere, tmp_path):
     assert all(residual.empty(tile) for tile in range(residual.tiles))
     assert residual.bytes["residual"] == 0
     assert not residual.decode(0).any()
-    assert residual.stored(1)[1] == 0
+    assert residual.stream_bytes(1)[1] == 0
 
 
 @pytest.mark.slow

@@ -29,13 +29,13 @@ CAMERA = CameraResponse(channels=CHANNELS, bits=12, black_level=100)
 def state():
     frames = tuple(PlannedFrame(f"frames/L{i}.png", "sample", lamp=i, light=f"L{i}", seconds=3.0) for i in range(1, 5))
     state = RunState()
-    state.started(frames, {"frames/L1.png"}, CAMERA)
+    state.record_start(frames, {"frames/L1.png"}, CAMERA)
     rng = np.random.default_rng(1)
     codes = (100 + rng.random((60, 80, 3)) * 3000).astype(np.uint16)
     codes[:6] = 4095
-    state.photographed(frames[1], codes, measure(codes, CAMERA, None))
+    state.record_photograph(frames[1], codes, measure(codes, CAMERA, None))
     reasons = ["brightness is 0.2 <of> what its neighbours lead to expect"]
-    state.happened(
+    state.record_event(
         {"time": "2026-11-23T10:11:12.000+00:00", "event": "rejected", "file": "frames/L2.png", "reasons": reasons}
     )
     return state
@@ -123,7 +123,7 @@ def test_a_browser_shows_the_state_that_comes_after_the_page_was_loaded(state, t
             time.sleep(0.01)
             while state.reads < 1:
                 time.sleep(0.01)
-            state.happened({"event": "frame", "file": "frames/L3.png"})
+            state.record_event({"event": "frame", "file": "frames/L3.png"})
 
         state.reads = 0
         began = state.seconds_left

@@ -13,7 +13,7 @@ import pytest
 from refusals import refused
 
 from nishiki import processes
-from nishiki.engine.running_lock import MARK, RUNS, here, records, refuse_while_running, registered
+from nishiki.engine.running_lock import MARK, RUNS, here, records, refuse_while_running, register_run
 from nishiki.errors import UserError
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
@@ -66,7 +66,7 @@ def kill(process):
 
 def run_once(*scenes, **options):
     told = []
-    with registered(Path("results"), scenes or ("a",), tell=told.append, **options) as held:
+    with register_run(Path("results"), scenes or ("a",), tell=told.append, **options) as held:
         held.ended = "done"
     return held, told
 
@@ -85,7 +85,7 @@ def test_a_run_leaves_nothing_after_success_and_a_note_after_failure():
     assert told == []
     assert not held.unclean
     assert records(Path("results")) == []
-    with registered(Path("results"), ["a"]):
+    with register_run(Path("results"), ["a"]):
         pass
     assert [record.state for record in records(Path("results"))] == ["ended"]
     held, told = run_once()
@@ -130,7 +130,7 @@ def test_what_a_killed_run_left_of_other_scenes_is_remembered(start):
 
 def test_a_run_killed_while_it_cleared_up_is_still_unclean(start):
     kill(start("a"))
-    with registered(Path("results"), ["a"], tell=str):
+    with register_run(Path("results"), ["a"], tell=str):
         pass  # it fails
     assert run_once("a")[0].unclean
 
@@ -139,12 +139,12 @@ def test_the_engine_of_a_dead_command_line_is_alive(start):
     child = "import time; print('ready', flush=True); time.sleep(60)"
     process = start("a", CALL.format(child=child))
     kill(process)
-    (engine,) = processes.marked(MARK, records(Path("results"))[0].facts["id"])
+    (engine,) = processes.find_marked(MARK, records(Path("results"))[0].facts["id"])
     with refused(UserError, engine):
         run_once("a")
     with refused(UserError, by="_refuse"):
         run_once("a")
-    (engine,) = processes.marked(MARK, records(Path("results"))[0].facts["id"])
+    (engine,) = processes.find_marked(MARK, records(Path("results"))[0].facts["id"])
     os.kill(engine, signal.SIGKILL)
     wait_until(lambda: processes.start_ticks(engine) is None)
     assert run_once("a")[0].unclean
@@ -155,8 +155,8 @@ def test_jobs_that_outlive_a_dead_run_are_ended_first(start):
     process = start("a", CALL.format(child=child))
     (record,) = records(Path("results"))
     # A process that has just started shows no environment for a moment.
-    wait_until(lambda: len(processes.marked(MARK, record.facts["id"])) == 2)
-    marked = processes.marked(MARK, record.facts["id"])
+    wait_until(lambda: len(processes.find_marked(MARK, record.facts["id"])) == 2)
+    marked = processes.find_marked(MARK, record.facts["id"])
     names = {Path("/proc", str(pid), "comm").read_text().strip(): pid for pid in marked}
     kill(process)
     os.kill(next(pid for name, pid in names.items() if name != "sleep"), signal.SIGKILL)
@@ -174,8 +174,8 @@ def test_a_process_that_ignores_termination_is_killed():
         [sys.executable, "-c", stubborn], env={**os.environ, MARK: "some-run"}, stdout=subprocess.PIPE, text=True
     )
     assert process.stdout.readline() == "ready\n"
-    assert processes.marked(MARK, "some-run") == [process.pid]
-    assert processes.stop(lambda: processes.marked(MARK, "some-run"), patience_s=0.5) == []
+    assert processes.find_marked(MARK, "some-run") == [process.pid]
+    assert processes.stop(lambda: processes.find_marked(MARK, "some-run"), patience_s=0.5) == []
     assert process.wait() == -signal.SIGKILL
     process.stdout.close()
 

@@ -15,7 +15,7 @@ from nishiki.simulate.painting import photographs
 from nishiki.simulate.painting.objects import make_object
 from nishiki.simulate.painting.photographs import make_tables, photograph, white_board
 from nishiki.simulate.painting.settings import (
-    LightSettings,
+    LampSettings,
     SimulationSettings,
     board_cosine,
     direction_error_deg,
@@ -177,7 +177,7 @@ def test_spheres_have_spherical_normals():
 
 
 def test_lamps_stand_where_they_should():
-    settings = SimulationSettings(lights=LightSettings(rings=2, ring_lights=6, checks_deg=(20.0, 50.0)))
+    settings = SimulationSettings(lights=LampSettings(rings=2, ring_lights=6, checks_deg=(20.0, 50.0)))
     lamps = place_lamps(settings)
     assert len({lamp.name for lamp in lamps}) == len(lamps) == 1 + 12 + 2
     angles = {lamp.name: np.degrees(np.arccos(lamp.direction[2])) for lamp in lamps}
@@ -213,9 +213,9 @@ def test_lamp_and_camera_curves_are_smooth_and_cover_the_grid():
         lambda: SimulationSettings(roughness=0.001),
         lambda: CameraSettings(channels=9),
         lambda: CameraSettings(black_level=2000),
-        lambda: LightSettings(rings=0),
-        lambda: LightSettings(checks_deg=(20.0, 95.0)),
-        lambda: SimulationSettings(lights=LightSettings(distance_mm=10.0)),
+        lambda: LampSettings(rings=0),
+        lambda: LampSettings(checks_deg=(20.0, 95.0)),
+        lambda: SimulationSettings(lights=LampSettings(distance_mm=10.0)),
     ],
 )
 def test_impossible_settings_are_refused(make):

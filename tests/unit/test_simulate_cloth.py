@@ -21,7 +21,7 @@ from nishiki.simulate.cloth.geometry import (
     weave_pattern,
 )
 from nishiki.simulate.cloth.points import turned_frame
-from nishiki.simulate.cloth.reflectance import make_cloth, seen_from, trace
+from nishiki.simulate.cloth.reflectance import make_cloth, trace, trace_reach
 from nishiki.simulate.cloth.settings import hemisphere_views, make_settings, quarter_views, session, unit
 from nishiki.simulate.reflection import body, fresnel, in_frame, reflect_filament
 
@@ -232,7 +232,7 @@ def test_filaments_reflect_no_more_than_they_get(theta):
 def test_points_stand_for_all_that_is_seen(satin, direction):
     """∫ V (n·d)⁺ dS is the cell's area times cosθ wherever no ray passes the cloth."""
     cloth, d = satin, unit(*direction)
-    seen = float((seen_from(cloth, d[None]).lit[0] * cloth.points.area).sum())
+    seen = float((trace_reach(cloth, d[None]).lit[0] * cloth.points.area).sum())
     solids, random = cloth.solids, np.random.default_rng(3)
     start = random.uniform(0.0, 1.0, (4000, 2)) * [solids.weft.length, solids.warp.length]
     high = solids.numbers[3]

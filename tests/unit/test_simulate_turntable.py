@@ -10,9 +10,9 @@ from nishiki import threads
 from nishiki.errors import UserError
 from nishiki.geometry.visibility import cast, make_tree
 from nishiki.simulate.capture import BOARD_REFLECTANCE, CameraSettings
-from nishiki.simulate.turntable.materials import INDEX, NUMBERS, describe, reflected
+from nishiki.simulate.turntable.materials import INDEX, NUMBERS, describe, reflect
 from nishiki.simulate.turntable.photographs import components, make_optics, photograph, signal, white_board
-from nishiki.simulate.turntable.render import bounced, cosine_directions, irradiance, look_around, make_scene, see
+from nishiki.simulate.turntable.render import cosine_directions, irradiance, look_around, make_scene, see, trace_bounces
 from nishiki.simulate.turntable.shape import (
     BETA,
     LAMP_MM,
@@ -22,7 +22,7 @@ from nishiki.simulate.turntable.shape import (
     distance,
     make_surface,
     place_views,
-    scanned,
+    scan,
 )
 
 SMALL = TurntableSettings(rows=64, columns=64, views=4, triangles=4000, samples=3, directions=64)
@@ -64,7 +64,7 @@ def hemisphere(random, count):
 def test_reflection_is_the_same_both_ways(m):
     random = np.random.default_rng(1)
     light, view = hemisphere(random, 500), hemisphere(random, 500)
-    there, back = (reflected(np.tile(m, (500, 1)), a, b) for a, b in ((light, view), (view, light)))
+    there, back = (reflect(np.tile(m, (500, 1)), a, b) for a, b in ((light, view), (view, light)))
     for one, other in zip(there, back, strict=True):
         np.testing.assert_allclose(one / light[:, 2:], other / view[:, 2:], rtol=1e-9, atol=1e-12)
 
@@ -77,7 +77,7 @@ def test_never_more_light_leaves_than_arrives(m, angle):
     sine = np.sqrt(1 - cosine**2)
     light = np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1).reshape(-1, 3)
     view = np.array([math.sin(math.radians(angle)), 0.0, math.cos(math.radians(angle))])
-    body, gloss = reflected(np.tile(m, (len(light), 1)), light, np.tile(view, (len(light), 1)))
+    body, gloss = reflect(np.tile(m, (len(light), 1)), light, np.tile(view, (len(light), 1)))
     total = 2.0 * (body + gloss).mean(axis=0)  # mean over the hemisphere of pi f cos, times 2 pi / pi
     assert (total <= 1.0).all()
     if m[3] > 0 and angle <= 60:
@@ -88,7 +88,7 @@ def test_reflection_agrees_with_the_formulas_written_out():
     random = np.random.default_rng(2)
     m = material(0.5, along=0.35, across=0.15, sigma=0.3)
     light, view = hemisphere(random, 200), hemisphere(random, 200)
-    body, gloss = reflected(np.tile(m, (200, 1)), light, view)
+    body, gloss = reflect(np.tile(m, (200, 1)), light, view)
     half = (light + view) / np.linalg.norm(light + view, axis=1, keepdims=True)
     scale = np.array([0.35, 0.15])
     density = 1 / (np.pi * 0.35 * 0.15 * (np.sum((half[:, :2] / scale) ** 2, axis=1) + half[:, 2] ** 2) ** 2)
@@ -153,7 +153,7 @@ def test_mesh_is_closed_even_and_of_the_wanted_size(wanted):
     np.testing.assert_allclose(np.linalg.norm(surface.normals, axis=1), 1, atol=1e-9)
     off = distance(vertices[::7].T)
     assert np.percentile(np.abs(off), 95) < 0.02
-    moved, same = scanned(surface, noise_mm=0.02, seed=4)
+    moved, same = scan(surface, noise_mm=0.02, seed=4)
     assert same is faces
     offset = np.einsum("ij,ij->i", moved - vertices, surface.normals)
     assert offset.std() == pytest.approx(0.02, rel=0.1)
@@ -182,12 +182,12 @@ def test_light_inside_a_ball_adds_up_as_a_geometric_series():
     assert (around.seen >= 0).all()
     around = dataclasses.replace(around, albedo=np.tile([0.5, 0.8, 1.0], (len(surface.vertices), 1)))
     for bounces, expected in ((0, [0, 0, 0]), (1, [0.5, 0.8, 1]), (3, [0.875, 0.8 + 0.64 + 0.512, 3])):
-        indirect, leaving = bounced(around, np.ones(len(surface.vertices)), bounces)
+        indirect, leaving = trace_bounces(around, np.ones(len(surface.vertices)), bounces)
         np.testing.assert_allclose(indirect, np.tile(expected, (len(indirect), 1)), rtol=1e-12)
         np.testing.assert_allclose(leaving, around.albedo * (1 + indirect), rtol=1e-12)
     # Half of the ball lit: the form factor between any two places is the same, so everything gets half of it.
     lit = (surface.vertices[:, 2] > 0).astype(float)
-    indirect, _ = bounced(around, lit, 1)
+    indirect, _ = trace_bounces(around, lit, 1)
     assert indirect[:, 0].mean() == pytest.approx(0.25, abs=0.02)
     assert indirect[:, 0].std() < 0.04
 

@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from nishiki.small_matrices import (
-    eigenvalues,
-    factorise,
-    inverse,
-    solve_by_cofactors,
-    substitute,
-)
+from nishiki.small_matrices import eigenvalues, factorise, inverse, solve_by_cofactors, substitute
 
 
 def positive(size, seed, scatter=1.0):

@@ -3,11 +3,11 @@
 import pytest
 from refusals import expect_facts
 
-from nishiki.sweep.front import Point, advice, share
+from nishiki.sweep.front import VariantPoint, advice, share
 
 
 def point(name, time, loss, spread=0.02):
-    return Point(name, time, time * (1 - spread), time * (1 + spread), loss)
+    return VariantPoint(name, time, time * (1 - spread), time * (1 + spread), loss)
 
 
 DEFAULT = point("default", 10.0, 4.4)
@@ -52,7 +52,7 @@ def test_within_the_spread_is_said():
 
 
 def test_a_saving_within_the_spread_is_not_advised():
-    wide = Point("wide", 8.0, 5.0, 11.0, 4.5)
+    wide = VariantPoint("wide", 8.0, 5.0, 11.0, 4.5)
     assert not [line for line in said(wide) if "wide" in line]
 
 

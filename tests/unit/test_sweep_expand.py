@@ -5,7 +5,7 @@ import pytest
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
 from nishiki.stages.table import CHAIN
-from nishiki.sweep.variants import AS_CONFIGURED, SweepSettings, expand, nested
+from nishiki.sweep.variants import AS_CONFIGURED, SweepSettings, expand, nest_settings
 
 
 def variants(**block):
@@ -40,11 +40,11 @@ def test_the_stage_s_own_prefix_is_left_out_of_names_and_values_are_reported():
 
 
 def test_a_name_with_a_value_is_a_setting_and_with_a_block_a_stage():
-    assert nested({"reflectance": "mean"}, "normals", CHAIN, "x") == {"normals": {"reflectance": "mean"}}
-    assert nested({"goniometer_samples": {"window_px": 8}}, "normals", CHAIN, "x") == {
+    assert nest_settings({"reflectance": "mean"}, "normals", CHAIN, "x") == {"normals": {"reflectance": "mean"}}
+    assert nest_settings({"goniometer_samples": {"window_px": 8}}, "normals", CHAIN, "x") == {
         "goniometer_samples": {"window_px": 8}
     }
-    assert nested({"view.rows": 65}, "cloth_render", CHAIN, "x") == {"cloth_render": {"view": {"rows": 65}}}
+    assert nest_settings({"view.rows": 65}, "cloth_render", CHAIN, "x") == {"cloth_render": {"view": {"rows": 65}}}
 
 
 @pytest.mark.parametrize(

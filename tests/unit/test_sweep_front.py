@@ -5,14 +5,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nishiki.sweep.front import Point, beaten_by, front
+from nishiki.sweep.front import VariantPoint, beaten_by, front
 
 FEW = st.sampled_from([0.0, 0.5, 1.0, 1.5, 2.0])
 ANY = st.floats(0, 1e6)
 
 
 def point(time, loss, *, spread=0.0, name=""):
-    return Point(name, time, time * (1 - spread), time * (1 + spread), loss)
+    return VariantPoint(name, time, time * (1 - spread), time * (1 + spread), loss)
 
 
 def by_definition(points):

@@ -3,7 +3,7 @@
 import pytest
 
 from nishiki.errors import UserError
-from nishiki.sweep.variants import NORMALS, MeasureSettings, as_measure, candidates, compared, paths_in, values_of
+from nishiki.sweep.variants import NORMALS, MeasureSettings, as_measure, average_common, candidates, paths_in, values_of
 
 DIAGNOSTICS = {
     "a": {"b": 2.0, "text": "x", "yes": True},
@@ -13,7 +13,7 @@ DIAGNOSTICS = {
 
 def value(path, sources=(DIAGNOSTICS,), settings=None):
     found = values_of(MeasureSettings(path=path), list(sources), settings or {})
-    return compared({"variant": found})["variant"]
+    return average_common({"variant": found})["variant"]
 
 
 def test_paths_stars_and_settings():
@@ -30,9 +30,9 @@ def test_what_is_not_there_or_no_number_is_none(path):
 
 def test_variants_are_compared_on_what_all_of_them_have():
     found = {"a": {("15",): 1.0, ("30",): 3.0}, "b": {("0",): 0.0, ("15",): 2.0, ("30",): 4.0}}
-    assert compared(found) == {"a": 2.0, "b": 3.0}
-    assert compared({**found, "c": {}}) == {"a": 2.0, "b": 3.0, "c": None}
-    assert compared({"a": {("15",): 1.0}, "b": {("0",): 1.0}}) == {"a": None, "b": None}
+    assert average_common(found) == {"a": 2.0, "b": 3.0}
+    assert average_common({**found, "c": {}}) == {"a": 2.0, "b": 3.0, "c": None}
+    assert average_common({"a": {("15",): 1.0}, "b": {("0",): 1.0}}) == {"a": None, "b": None}
 
 
 def test_the_first_source_that_has_it_counts_and_lists_are_numbered():

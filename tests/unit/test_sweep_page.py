@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from nishiki.sweep.front import Point, axis_over, plot
+from nishiki.sweep.front import VariantPoint, axis_over, plot
 from nishiki.sweep.page import render_sweep, scene_content, sweep_content, table_rows
 from nishiki.sweep.variants import MeasureSettings, Spread, SweepSettings, variant_row
 
@@ -106,7 +106,7 @@ def test_axes_hold_all_values_and_have_ticks(values):
 
 
 def test_more_is_better_puts_the_best_below():
-    points = [Point("a", 1, 1, 1, -20.0, 20.0), Point("b", 2, 2, 2, -40.0, 40.0)]
+    points = [VariantPoint("a", 1, 1, 1, -20.0, 20.0), VariantPoint("b", 2, 2, 2, -40.0, 40.0)]
     svg = plot(points, [0, 1], x_label="x", y_label="y", higher=True, title="t")
     first, second = (float(text) for text in re.findall(r'<circle cx="[\d.]+" cy="([\d.]+)" r="4.5"', svg)[:2])
     assert second > first

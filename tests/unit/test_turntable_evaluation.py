@@ -9,7 +9,7 @@ from nishiki.codec.compact import camera_bytes, chart_bytes, cost_of, lamp_bytes
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import rotation_matrix
-from nishiki.render.display import developed, three_channels
+from nishiki.render.display import develop, three_channels
 from nishiki.render.object.renderer import block_mean, coverage, places, reduced
 from nishiki.stages.evaluate.object import (
     AMPLIFIED,
@@ -87,11 +87,11 @@ def test_block_means_of_covered_samples_only():
 def test_screen_values_are_srgb_over_the_background():
     linear = np.full((1, 3, 3), [0.2145], np.float32)
     covered = np.array([[1.0, 0.0, 0.5]])
-    image = developed(linear * covered[..., None], covered, background=0.25)
+    image = develop(linear * covered[..., None], covered, background=0.25)
     assert image.clipped_high == 0
     assert image.pixels[0, 0].tolist() == [128] * 3  # 0.2140 is the linear value of 0.5
     assert image.pixels[0, 1].tolist() == [64] * 3
-    bright = developed(linear * 9, np.ones((1, 3)))
+    bright = develop(linear * 9, np.ones((1, 3)))
     assert (bright.pixels == 255).all()
     assert bright.clipped_high == 1
     assert three_channels(np.ones((2, 2, 5))).shape == (2, 2, 3)

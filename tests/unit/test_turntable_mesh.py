@@ -39,7 +39,7 @@ def sphere(rows=24, columns=48, bump=0.1):
 def same(mesh, step):
     """Code a mesh, decode it, compare points and turn of every triangle; the coded form."""
     coded = encode_mesh(mesh, step=step)
-    decoded, restored = decode_mesh(coded.data), coded.restored(mesh)
+    decoded, restored = decode_mesh(coded.data), coded.restore(mesh)
     assert len(set(coded.order)) == len(coded.order) == len(decoded.triangles)
     there = decoded.vertices[decoded.triangles]
     here = restored.vertices[restored.triangles[coded.order]]
@@ -97,7 +97,7 @@ def test_open_permuted_and_separate_surfaces_come_back():
 def test_a_mesh_on_the_grid_comes_back_exactly_with_its_normals():
     mesh, step = sphere(), 2.0**-9
     snapped = Mesh.of(np.round(mesh.vertices / step) * step, mesh.triangles)
-    restored = encode_mesh(snapped, step=step).restored(snapped)
+    restored = encode_mesh(snapped, step=step).restore(snapped)
     np.testing.assert_array_equal(restored.vertices, snapped.vertices)
     np.testing.assert_array_equal(restored.normals, snapped.normals)
 

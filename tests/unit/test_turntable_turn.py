@@ -5,7 +5,15 @@ import pytest
 from refusals import refused
 
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.turn import camera_between, fit_turn, rotation_matrix, rotation_vector, scaled, turned, twist
+from nishiki.geometry.turn import (
+    camera_between,
+    fit_turn,
+    rotation_matrix,
+    rotation_vector,
+    scale_camera,
+    turn_camera,
+    twist,
+)
 from nishiki.render.object.shots import neighbours
 
 AXIS = np.array([0.1, 0.97, -0.2]) / np.linalg.norm([0.1, 0.97, -0.2])
@@ -92,7 +100,7 @@ def test_a_turn_of_few_or_equal_views_has_no_nan():
 
 def test_scaling_keeps_what_a_pixel_sees():
     camera = pose(0.3)
-    half = scaled(camera, 0.5)
+    half = scale_camera(camera, 0.5)
     assert (half.rows, half.columns) == (240, 320)
     points = np.random.default_rng(1).normal(size=(20, 3)) * 0.5
     full, _ = camera.project(points)
@@ -103,7 +111,9 @@ def test_scaling_keeps_what_a_pixel_sees():
 def test_turned_about_the_axis_and_back():
     turn = fit_turn(circle(6), full_turn=True)
     camera = pose(0.2)
-    np.testing.assert_allclose(turned(turned(camera, turn, 0.9), turn, -0.9).matrix, camera.matrix, atol=1e-10)
+    np.testing.assert_allclose(
+        turn_camera(turn_camera(camera, turn, 0.9), turn, -0.9).matrix, camera.matrix, atol=1e-10
+    )
 
 
 def test_weights_reproduce_straight_lines():

@@ -10,7 +10,7 @@ from iiif_prezi3 import Manifest
 from loaded_and_read import WhatIsLoadedAndRead
 from PIL import Image
 
-from nishiki.installation import installed
+from nishiki.installation import is_installed
 
 pytestmark = pytest.mark.slow
 
@@ -122,7 +122,7 @@ def tile(folder, canvas):
 
 
 def test_an_object_is_exported(object_site):
-    more = [name for name, package in (("usd", "usd-core"), ("materialx", "materialx")) if installed(package)]
+    more = [name for name, package in (("usd", "usd-core"), ("materialx", "materialx")) if is_installed(package)]
     object_site.nishiki("export", "tiny", "gltf", "mitsuba", "iiif", "kintsugi", *more, "--output", "for-others")
     mesh = trimesh.load(object_site.folder / "for-others/object.glb", force="mesh")
     given = trimesh.load(object_site.folder / "results/tiny/current/mesh.ply", process=False)

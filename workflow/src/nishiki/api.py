@@ -210,10 +210,10 @@ def find_lights(folder: str | Path, **options) -> dict[str, np.ndarray]:
     from nishiki.capture.convert import read_source
     from nishiki.capture.layouts import Layout
     from nishiki.capture.options import ConvertOptions
-    from nishiki.capture.relightable import Rendering
+    from nishiki.capture.relightable import RelightableRendering
 
     layout = read_source(Path(folder), ConvertOptions(**options))
-    if not isinstance(layout, Layout | Rendering):
+    if not isinstance(layout, Layout | RelightableRendering):
         raise UserError(f"{folder}: expected photographs of a flat object, found {layout.name}")
     return dict(zip(layout.lights.names, layout.lights.directions, strict=True))
 
@@ -355,7 +355,7 @@ def save_picture(path: str | Path, linear: np.ndarray, *, exposure: float = 1.0)
     >>> import nishiki
     >>> nishiki.save_picture("ramp.png", np.linspace(0, 1, 256).reshape(1, 256).repeat(16, axis=0))
     """
-    from nishiki.render.display import encoded, write_exr, write_png
+    from nishiki.render.display import encode_display, write_exr, write_png
 
     path, values = Path(path), np.asarray(linear, np.float32)
     values = np.repeat(values[..., None], 3, axis=-1) if values.ndim == 2 else values
@@ -363,7 +363,7 @@ def save_picture(path: str | Path, linear: np.ndarray, *, exposure: float = 1.0)
         expected = "finite values of shape (rows, columns, 3) or (rows, columns)"
         raise UserError(f"picture: expected {expected}, found {np.shape(linear)}")
     if path.suffix == ".png":
-        write_png(path, encoded(values * np.float32(exposure)).pixels, stamp={})
+        write_png(path, encode_display(values * np.float32(exposure)).pixels, stamp={})
     elif path.suffix == ".exr":
         write_exr(path, values, stamp={}, colours="srgb")
     else:

@@ -7,7 +7,7 @@ import sys
 import click
 
 from nishiki.commands.declare import Group
-from nishiki.errors import UserError, of_the_machine
+from nishiki.errors import UserError, describe_machine_error
 from nishiki.installation import COMMAND, use_kernel_cache
 from nishiki.version import PROJECT_VERSION
 
@@ -104,7 +104,7 @@ def main(arguments: list[str] | None = None) -> None:
         print(f"{name}: interrupted", file=sys.stderr)
         raise SystemExit(130) from None
     except OSError as error:
-        message = of_the_machine(error)
+        message = describe_machine_error(error)
         if message is None:
             raise
         print(f"{name}: {message}", file=sys.stderr)

@@ -68,7 +68,7 @@ OF_THE_MACHINE = {
 """Remedy for each error number with which a machine refuses an operation."""
 
 
-def of_the_machine(error: OSError | MemoryError) -> str | None:
+def describe_machine_error(error: OSError | MemoryError) -> str | None:
     """Describe a machine's lack of space, permission or memory; None for other errors, which are bugs."""
     if isinstance(error, MemoryError):
         return f"not enough memory ({error or 'the limit is reached'}). Remedy: more memory, or smaller tiles"

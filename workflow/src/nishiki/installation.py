@@ -99,7 +99,7 @@ PURPOSE = {name: purpose for name, (_, extra, purpose) in HEAVY.items() if extra
 PARTS_OF_SCIPY = ("fft", "interpolate", "io", "ndimage", "optimize", "sparse", "spatial", "special", "stats")
 
 
-def loaded() -> tuple[str, ...]:
+def list_loaded() -> tuple[str, ...]:
     """List the heavy packages that this process has loaded.
 
     scipy counts where a part of it is there that we call: numba takes scipy.linalg for itself, whatever it compiles.
@@ -109,7 +109,7 @@ def loaded() -> tuple[str, ...]:
     return tuple(sorted(name for name, there in present.items() if there))
 
 
-def installed(package: str) -> bool:
+def is_installed(package: str) -> bool:
     """Return whether a package can be imported; nothing of it is loaded."""
     return find_spec(MODULES.get(package, package).partition(".")[0]) is not None
 

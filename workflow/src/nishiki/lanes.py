@@ -237,6 +237,6 @@ def planes(count, width):
     return memory[first : first + count * width].reshape(count, width)
 
 
-def repeated(array, pixels):
+def repeat_pixels(array, pixels):
     """Repeat the pixels of an array (lights, fewer pixels, ...): kernels take whole blocks of them."""
     return np.take(array, np.arange(pixels) % array.shape[1], axis=1)

@@ -85,7 +85,7 @@ def owner_of(name: str) -> tuple[str, str]:
     return parts[-3] if named else "", parts[-2] if len(parts) > 2 else ""
 
 
-def marked(variable: str, value: str) -> list[int]:
+def find_marked(variable: str, value: str) -> list[int]:
     """List the user's processes on this machine that were started with an environment variable of this value.
 
     Whatever a process starts inherits its environment: children are found even where their parents are gone.

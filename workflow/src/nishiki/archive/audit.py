@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nishiki.archive.pack import FolderTree, Listing, Tree
+from nishiki.archive.pack import FolderContents, FolderTree, Tree
 from nishiki.artifacts.artifact import INDEX, MANIFEST, RUN, index_text, is_digest, parse_manifest, run_problem
 from nishiki.artifacts.packed import METADATA
 from nishiki.artifacts.provenance import UPSTREAM, file_digest, place_above, stage_key
@@ -78,7 +78,7 @@ class Survey:
         """Note one damage."""
         self.damages.append(Damage(self.folder / name, kind, detail, self.folder))
 
-    def named(self, name: str) -> str:
+    def member_name(self, name: str) -> str:
         """Name of a file of the artifact inside the tree."""
         return f"{self.below}/{name}" if self.below else name
 
@@ -101,7 +101,7 @@ def survey_artifact(tree: Tree, below: str = "", *, name: str | None = None) -> 
     return survey
 
 
-def _manifest(survey: Survey, listing: Listing) -> dict[str, Any] | None:
+def _manifest(survey: Survey, listing: FolderContents) -> dict[str, Any] | None:
     missing = "no finished artifact here; run the stage again"
     read = _read(survey, listing, MANIFEST, missing, lambda data: (data, parse_manifest(data)))
     if read is None:
@@ -114,11 +114,11 @@ def _manifest(survey: Survey, listing: Listing) -> dict[str, Any] | None:
     return manifest
 
 
-def _read(survey: Survey, listing: Listing, name: str, missing: str, parse: Callable[[bytes], Any]) -> Any:
+def _read(survey: Survey, listing: FolderContents, name: str, missing: str, parse: Callable[[bytes], Any]) -> Any:
     """Parse a file of an artifact; None, with the damage noted, where that cannot be done."""
     try:
         if name in listing.files:
-            return parse(survey.tree.read(survey.named(name)))
+            return parse(survey.tree.read(survey.member_name(name)))
         if name not in listing.links:
             survey.add(name, "missing", missing)
     except OSError as error:
@@ -159,7 +159,7 @@ def _note_upstream(survey: Survey, manifest: dict[str, Any]) -> None:
         survey.add(MANIFEST, "damaged", "names neither a capture nor an upstream artifact")
 
 
-def _check_files(survey: Survey, manifest: dict[str, Any], listing: Listing) -> None:
+def _check_files(survey: Survey, manifest: dict[str, Any], listing: FolderContents) -> None:
     files = manifest["files"]
     for name, entry in files.items():
         size = listing.files.get(name)
@@ -180,7 +180,7 @@ def _check_files(survey: Survey, manifest: dict[str, Any], listing: Listing) -> 
 def read_file(survey: Survey, name: str, sha256: str) -> list[Damage]:
     """Digest a file of an artifact, and return what is not as listed."""
     try:
-        digest = survey.tree.digest(survey.named(name))
+        digest = survey.tree.digest(survey.member_name(name))
     except OSError as error:
         return [Damage(survey.folder / name, "unreadable", str(error.strerror), survey.folder)]
     if digest == sha256:
@@ -216,11 +216,11 @@ class References:
     def problems(self) -> Iterator[Damage]:
         """Yield artifacts in a wrong place, and upstream artifacts that are lost or have another content."""
         for folder, (scene, stage) in self._stamps.items():
-            yield from self._misplaced(folder, scene, stage)
+            yield from self._find_misplaced(folder, scene, stage)
             if "." not in folder.name:
                 yield from self._lost(folder)
 
-    def _misplaced(self, folder: Path, scene: str, stage: str) -> Iterator[Damage]:
+    def _find_misplaced(self, folder: Path, scene: str, stage: str) -> Iterator[Damage]:
         from nishiki.stages.table import CHAIN
 
         if stage != folder.parent.name and folder.parent.name in CHAIN:
@@ -242,7 +242,7 @@ class References:
 
 def check_publication(folder: Path, references: "References") -> list[Damage]:
     """List every damage of a folder of published links. references: digests of the artifacts that it may link to."""
-    damages = [damage for name in sorted(os.listdir(folder)) if (damage := _of_link(folder / name))]
+    damages = [damage for name in sorted(os.listdir(folder)) if (damage := _check_link(folder / name))]
     index = folder / INDEX
     try:
         data = index.read_bytes() if not index.is_symlink() else b""
@@ -258,11 +258,11 @@ def check_publication(folder: Path, references: "References") -> list[Damage]:
     if not sound:
         damages.append(Damage(index, "damaged", "not as it was written; delete the folder and run again"))
     for stage, key in keys.items():
-        damages += _of_stage(folder, stage, key, artifacts[stage].get("digest"), references)
+        damages += _check_stage(folder, stage, key, artifacts[stage].get("digest"), references)
     return damages
 
 
-def _of_link(path: Path) -> Damage | None:
+def _check_link(path: Path) -> Damage | None:
     """Check that a link has the form `../<stage>/<key>` or `../<stage>/<key>/<file>` and leads somewhere."""
     if not path.is_symlink():
         return None
@@ -275,7 +275,7 @@ def _of_link(path: Path) -> Damage | None:
     return None
 
 
-def _of_stage(folder: Path, stage: str, key: str, digest: Any, references: "References") -> list[Damage]:
+def _check_stage(folder: Path, stage: str, key: str, digest: Any, references: "References") -> list[Damage]:
     damages = []
     if not stage.isidentifier() or not key.isalnum():
         return [Damage(folder / INDEX, "damaged", f"names no artifact: {stage} {key}")]
@@ -375,15 +375,15 @@ def audit(
     place, digest and upstream artifacts.
     """
     references = References()
-    yield from _counted(targets.damages, counts)
+    yield from _count(targets.damages, counts)
     ahead = 4 * threads
     surveys = in_threads(lambda folder: survey_artifact(FolderTree(folder)), targets.artifacts, threads, ahead)
     files = _files(surveys, references, counts, len(targets.artifacts), tell)
     for damages in in_threads(lambda look: look(), files, threads, ahead):
-        yield from _counted(damages, counts)
-    yield from _counted(references.problems(), counts)
+        yield from _count(damages, counts)
+    yield from _count(references.problems(), counts)
     for damages in in_threads(lambda folder: check_publication(folder, references), targets.publications, threads):
-        yield from _counted(damages, counts)
+        yield from _count(damages, counts)
 
 
 def _files(
@@ -401,7 +401,7 @@ def _files(
         tell(counts.artifacts, total, f"{counts.bytes / 1e9:.2f} GB, {counts.problems} problems")
 
 
-def _counted(damages: Iterable[Damage], counts: Counts) -> Iterator[Damage]:
+def _count(damages: Iterable[Damage], counts: Counts) -> Iterator[Damage]:
     for damage in damages:
         counts.problems += 1
         yield damage

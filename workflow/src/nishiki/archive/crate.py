@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from nishiki.artifacts.artifact import is_inside
-from nishiki.artifacts.packed import METADATA, Entity, PackedScene, PackedStage, ended, ids, is_address, started
+from nishiki.artifacts.packed import METADATA, Entity, PackedScene, PackedStage, end_time, ids, is_address, start_time
 from nishiki.artifacts.provenance import canonical, stage_program
 from nishiki.capture.schema import OBJECT_FACTS, Session
 from nishiki.errors import UserError
@@ -36,7 +36,7 @@ PROFILES = {
 MAIN, LOCK = "code/Snakefile", "code/uv.lock"
 
 
-def quoted(name: str) -> str:
+def quote_name(name: str) -> str:
     """Encode a file's name as a valid identifier."""
     return quote(name, safe="/:@!$&'()*+,;=-._~")
 
@@ -118,7 +118,7 @@ def _other(name: str) -> Entity:
 
 def last_end(stages: list[PackedStage]) -> str:
     """Return when the last stage ended, ISO 8601."""
-    return max(ended(stage) for stage in stages)
+    return max(end_time(stage) for stage in stages)
 
 
 def _root(scene: PackedScene, others: list[str]) -> Entity:
@@ -126,18 +126,18 @@ def _root(scene: PackedScene, others: list[str]) -> Entity:
     root = {
         "@id": "./",
         "@type": "Dataset",
-        "name": scene.said("title") or scene.name,
+        "name": scene.about_value("title") or scene.name,
         "description": f"Scene {scene.name}: from photographs under controlled light to the appearance of an object. "
         f"{len(stages)} results with everything that they were made from, each under a key that follows from its "
         "settings and from the keys of what it was made from.",
         "datePublished": last_end(stages),
-        "license": {"@id": _rights_id(scene.said("rights"))},
+        "license": {"@id": _rights_id(scene.about_value("rights"))},
         "conformsTo": ids(PROFILES),
         "mainEntity": {"@id": MAIN},
         "hasPart": ids(["capture/", MAIN, "code/", *_scripts(stages), *(stage.folder for stage in stages), *others]),
         "mentions": ids(["#run", "#engine-run", *(f"#run-{stage.name}" for stage in stages)]),
     }
-    if scene.said("creator"):
+    if scene.about_value("creator"):
         root["author"] = {"@id": "#creator"}
     if _says_of_object(scene):
         root["about"] = {"@id": "#object"}
@@ -145,7 +145,7 @@ def _root(scene: PackedScene, others: list[str]) -> Entity:
 
 
 def _people_and_rights(scene: PackedScene) -> list[Entity]:
-    rights = scene.said("rights")
+    rights = scene.about_value("rights")
     entities: list[Entity] = [
         {
             "@id": _rights_id(rights),
@@ -157,24 +157,24 @@ def _people_and_rights(scene: PackedScene) -> list[Entity]:
         },
         {"@id": PROJECT_LICENCE, "@type": "CreativeWork", "name": "BSD 3-Clause License"},
     ]
-    if scene.said("creator"):
-        entities.append({"@id": "#creator", "@type": "Person", "name": scene.said("creator")})
+    if scene.about_value("creator"):
+        entities.append({"@id": "#creator", "@type": "Person", "name": scene.about_value("creator")})
     if _says_of_object(scene):
         entities.append(_object(scene))
     return entities
 
 
 def _says_of_object(scene: PackedScene) -> bool:
-    return any(scene.said(key) for key in ("object_id", *OBJECT_FACTS))
+    return any(scene.about_value(key) for key in ("object_id", *OBJECT_FACTS))
 
 
 def _object(scene: PackedScene) -> Entity:
     """Describe the object; properties that schema.org has for works of art alone are given in words."""
     entity: Entity = {"@id": "#object", "@type": "Thing"}
-    entity["name"] = scene.said("title") or scene.said("object_id") or "Object"
-    if scene.said("object_id"):
-        entity["identifier"] = scene.said("object_id")
-    facts = [f"{label}: {scene.said(key)}" for key, label in OBJECT_FACTS.items() if scene.said(key)]
+    entity["name"] = scene.about_value("title") or scene.about_value("object_id") or "Object"
+    if scene.about_value("object_id"):
+        entity["identifier"] = scene.about_value("object_id")
+    facts = [f"{label}: {scene.about_value(key)}" for key, label in OBJECT_FACTS.items() if scene.about_value(key)]
     if facts:
         entity["description"] = ". ".join(facts)
     return entity
@@ -193,15 +193,15 @@ def _capture(scene: PackedScene) -> Entity:
         "name": "Capture",
         "description": what if scene.with_capture else without,
         "identifier": f"sha256:{scene.digest}",
-        "license": {"@id": _rights_id(scene.said("rights"))},
+        "license": {"@id": _rights_id(scene.about_value("rights"))},
         "exampleOfWork": {"@id": "#parameter-capture"},
     }
-    if scene.said("date"):
-        entity["dateCreated"] = scene.said("date")
-    if scene.said("creator"):
+    if scene.about_value("date"):
+        entity["dateCreated"] = scene.about_value("date")
+    if scene.about_value("creator"):
         entity["creator"] = {"@id": "#creator"}
-    if scene.said("notes"):
-        entity["disambiguatingDescription"] = scene.said("notes")
+    if scene.about_value("notes"):
+        entity["disambiguatingDescription"] = scene.about_value("notes")
     return entity
 
 
@@ -260,7 +260,7 @@ def _workflow_run(scene: PackedScene, *, locked: bool) -> list[Entity]:
             "instrument": {"@id": MAIN},
             "object": {"@id": "capture/"},
             "result": ids(stage.folder for stage in stages),
-            "startTime": min(started(stage) for stage in stages),
+            "startTime": min(start_time(stage) for stage in stages),
             "endTime": last_end(stages),
             "actionStatus": "http://schema.org/CompletedActionStatus",
         },
@@ -322,8 +322,8 @@ def stage_entities(stage: PackedStage, number: int) -> list[Entity]:
             "instrument": {"@id": program},
             "object": ids([*stage.sources, f"#settings-{name}"]),
             "result": {"@id": stage.folder},
-            "startTime": started(stage),
-            "endTime": ended(stage),
+            "startTime": start_time(stage),
+            "endTime": end_time(stage),
             "actionStatus": "http://schema.org/CompletedActionStatus",
         },
         {
@@ -349,14 +349,14 @@ def _artifact(stage: PackedStage) -> list[Entity]:
         "description": stage.does,
         "identifier": f"sha256:{stage.files['artifact.json'][1]}",
         "exampleOfWork": {"@id": f"#parameter-{stage.name}"},
-        "hasPart": ids(stage.folder + quoted(name) for name in sorted([*single, *stores])),
+        "hasPart": ids(stage.folder + quote_name(name) for name in sorted([*single, *stores])),
     }
     return [
         folder,
-        *(_store(stage.folder + quoted(store), store) for store in stores),
+        *(_store(stage.folder + quote_name(store), store) for store in stores),
         *(
             {
-                "@id": stage.folder + quoted(name),
+                "@id": stage.folder + quote_name(name),
                 "@type": "File",
                 "name": name,
                 "contentSize": str(size),

@@ -15,7 +15,7 @@ from zipfile import BadZipFile
 
 from nishiki.archive.audit import CAPTURE, Damage, Survey, survey_artifact
 from nishiki.archive.crate import MANIFEST, parse_manifest_text
-from nishiki.archive.pack import FolderTree, Listing, Tree, ZipTree
+from nishiki.archive.pack import FolderContents, FolderTree, Tree, ZipTree
 from nishiki.artifacts.artifact import MANIFEST as ARTIFACT
 from nishiki.artifacts.artifact import is_inside
 from nishiki.artifacts.packed import METADATA
@@ -82,7 +82,7 @@ def audit_crate(audit: CrateAudit, *, threads: int, tell: Callable[[int, int, st
     yield from _description(audit, tree, surveys)
 
 
-def _shape(audit: CrateAudit, tree: Tree, listing: Listing) -> Iterator[Damage]:
+def _shape(audit: CrateAudit, tree: Tree, listing: FolderContents) -> Iterator[Damage]:
     for name, target in listing.links.items():
         yield audit.damage(name, "link", f"a crate holds files, not links; to {target}")
     for name, what in listing.others.items():
@@ -102,7 +102,7 @@ def _shape(audit: CrateAudit, tree: Tree, listing: Listing) -> Iterator[Damage]:
 def _contents(
     audit: CrateAudit,
     tree: Tree,
-    listing: Listing,
+    listing: FolderContents,
     listed: dict[str, str],
     digests_read: dict[str, str],
     threads: int,
@@ -134,7 +134,7 @@ def _artifact(survey: Survey, digests_read: dict[str, str]) -> Iterator[Damage]:
     """Compare an artifact with its own manifest; its files were read before."""
     yield from survey.damages
     for name, sha256 in survey.to_read:
-        digest = digests_read.get(survey.named(name))
+        digest = digests_read.get(survey.member_name(name))
         if digest is not None and digest != sha256:
             yield Damage(survey.folder / name, "damaged", f"not what its {ARTIFACT} says", survey.folder)
     if survey.stage and survey.stage != survey.folder.parent.name:
@@ -182,7 +182,7 @@ def _field_of(survey: Survey) -> str:
 
 
 def _capture(
-    audit: CrateAudit, tree: Tree, listing: Listing, listed: dict[str, str], surveys: list[Survey]
+    audit: CrateAudit, tree: Tree, listing: FolderContents, listed: dict[str, str], surveys: list[Survey]
 ) -> Iterator[Damage]:
     """Check that the results lead back to this seal and that all or none of the capture's files are present."""
     from nishiki.capture.seal import manifest_text

@@ -171,7 +171,7 @@ def _readme(scene: PackedScene) -> str:
         else "`capture/` holds the manifest of the photographs, which are kept elsewhere: their names and SHA-256."
     )
     rows = "\n".join(f"| `{stage.folder}` | {stage.does} |" for stage in scene.stages)
-    return f"""# {scene.said("title") or scene.name}
+    return f"""# {scene.about_value("title") or scene.name}
 
 One digitised scene with everything that it was made from, as a Workflow Run RO-Crate (`{METADATA}` describes it).
 
@@ -210,7 +210,7 @@ LARGEST_TEXT = 256 * 2**20
 
 
 @dataclass
-class Listing:
+class FolderContents:
     """Contents of a folder: sizes of regular files, targets of links, other entries, unreadable entries."""
 
     files: dict[str, int] = field(default_factory=dict)
@@ -225,9 +225,9 @@ class FolderTree:
 
     root: Path
 
-    def listing(self, below: str = "") -> Listing:
+    def listing(self, below: str = "") -> FolderContents:
         """List everything below a folder of the tree, names relative to that folder, in a fixed order."""
-        listing = Listing()
+        listing = FolderContents()
         folders = [""]
         start = os.path.join(self.root, below) if below else str(self.root)
         while folders:
@@ -253,7 +253,7 @@ class FolderTree:
             return hashlib.file_digest(handle, "sha256").hexdigest()
 
 
-def _sort_in(listing: Listing, name: str, entry: os.DirEntry) -> bool:
+def _sort_in(listing: FolderContents, name: str, entry: os.DirEntry) -> bool:
     """Note one entry of a folder; True where it is a folder to look into."""
     if entry.is_symlink():
         listing.links[name] = os.readlink(entry.path)
@@ -308,9 +308,9 @@ class ZipTree:
                 self.repeated.append(member.filename)
             self.members[member.filename] = member
 
-    def listing(self, below: str = "") -> Listing:
+    def listing(self, below: str = "") -> FolderContents:
         """List everything below a folder of the tree, names relative to that folder, in a fixed order."""
-        listing = Listing()
+        listing = FolderContents()
         prefix = f"{below}/" if below else ""
         for name, member in sorted(self.members.items()):
             if not name.startswith(prefix) or member.is_dir():

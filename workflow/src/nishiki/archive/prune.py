@@ -147,7 +147,7 @@ def decide(results: Path, planned: set[Place], *, unnamed: bool = False, hosts: 
             pruning.keep.append(Item(folder, "a scene that no given configuration names; --unnamed lists it"))
             continue
         _look_into(folder, folder.name in scenes, finished, pruning, set(hosts))
-    kept = _kept(finished, planned, _published(results, scenes))
+    kept = _list_reasons_to_stay(finished, planned, _collect_published(results, scenes))
     pruning.keep += [Item(item.folder, kept[item.folder], item.bytes) for item in finished if kept.get(item.folder)]
     unreferenced = [item for item in finished if item.folder not in kept]
     for item in unreferenced:
@@ -178,7 +178,7 @@ def _look_into(scene: Path, named: bool, finished: list[Finished], pruning: Prun
             pruning.left_alone.append(Item(folder, "no stage has this name"))
 
 
-def _published(results: Path, scenes: set[str]) -> set[Place]:
+def _collect_published(results: Path, scenes: set[str]) -> set[Place]:
     """Collect the artifacts that the folders of published links name."""
     published = set()
     for scene in scenes:
@@ -190,7 +190,7 @@ def _published(results: Path, scenes: set[str]) -> set[Place]:
     return published
 
 
-def _kept(finished: list[Finished], planned: set[Place], published: set[Place]) -> dict[Path, str]:
+def _list_reasons_to_stay(finished: list[Finished], planned: set[Place], published: set[Place]) -> dict[Path, str]:
     """List folders that stay, each with the reason; an empty one where a configuration names it."""
     standing = [item for item in finished if "." not in item.folder.name]
     kept = {item.folder: "" for item in standing if item.place in planned}

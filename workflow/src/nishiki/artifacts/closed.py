@@ -37,7 +37,7 @@ class Guarded(Closed):
 
     @field_validator("allow")
     @classmethod
-    def _known_limits(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+    def _check_limits(cls, names: tuple[str, ...]) -> tuple[str, ...]:
         known = tuple(limit.name for limit in cls.LIMITS if limit.stated)
         for name in names:
             if name not in known:
@@ -68,12 +68,12 @@ class Fault:
         return f"{self.key}: {self.text}, found {self.value!r}"
 
 
-def merged(below: dict, above: dict) -> dict:
+def merge_blocks(below: dict, above: dict) -> dict:
     """Lay blocks of settings over others."""
     result = dict(below)
     for key, value in above.items():
         both = isinstance(value, dict) and isinstance(result.get(key), dict)
-        result[key] = merged(result[key], value) if both else value
+        result[key] = merge_blocks(result[key], value) if both else value
     return result
 
 
@@ -114,7 +114,7 @@ def faults(model: type[Closed], values: dict, error: ValidationError) -> list[Fa
         else:
             kinds = dict.fromkeys(_plain(problem["msg"]).removeprefix("input should be ") for _, problem in nearest)
             text = f"input should be {' or '.join(kinds)}"
-            result.append(Fault("wrong-value", _joined(chosen), text, value=nearest[0][1]["input"]))
+            result.append(Fault("wrong-value", _join_path(chosen), text, value=nearest[0][1]["input"]))
     return result
 
 
@@ -151,7 +151,7 @@ def _plain(message: str) -> str:
 
 
 def _fault(model: type[Closed], path: tuple, problem: Any) -> Fault:
-    key, last, value = _joined(path), str(path[-1]) if path else "", problem["input"]
+    key, last, value = _join_path(path), str(path[-1]) if path else "", problem["input"]
     if problem["type"] == "missing":
         return Fault("missing-key", key)
     if problem["type"] == "extra_forbidden":
@@ -166,7 +166,7 @@ def _fault(model: type[Closed], path: tuple, problem: Any) -> Fault:
     return Fault("wrong-value", key, _plain(problem["msg"]), value=value)
 
 
-def _joined(path: tuple) -> str:
+def _join_path(path: tuple) -> str:
     return ".".join(map(str, path))
 
 

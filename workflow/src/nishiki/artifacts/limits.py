@@ -103,15 +103,15 @@ def _part(value: Any, path: str) -> Any:
 
 def share(part: str, total_path: str) -> Figure:
     """Divide one diagnostic by another; 0 of nothing is 0."""
-    return _of_two(part, total_path, lambda value, total: value / total if total else 0.0)
+    return _combine_two(part, total_path, lambda value, total: value / total if total else 0.0)
 
 
 def excess(part: str, over: str) -> Figure:
     """Subtract one diagnostic from another."""
-    return _of_two(part, over, operator.sub)
+    return _combine_two(part, over, operator.sub)
 
 
-def _of_two(first: str, second: str, combine: Callable[[float, float], float]) -> Figure:
+def _combine_two(first: str, second: str, combine: Callable[[float, float], float]) -> Figure:
     """Combine two diagnostics; None where either is missing."""
 
     def figure(diagnostics: Mapping[str, Any]) -> float | None:
@@ -141,7 +141,7 @@ def _leaves(value: Any) -> Iterable[Any]:
         yield value
 
 
-def flagged(name: str, meaning: str, total: str, **rest: Any) -> Limit:
+def limit_flagged(name: str, meaning: str, total: str, **rest: Any) -> Limit:
     """Limit on the share of a total that carries a flag."""
     return Limit(f"{name}_share", meaning, share(f"flagged_{name}", total), **rest)
 

@@ -137,7 +137,7 @@ def shrink(
         Mean or largest of the values that are no NaN, as float32, NaN where there is none; or the pixel in the middle.
     """
 
-    def reduced(values: np.ndarray) -> np.ndarray:
+    def reduce_block(values: np.ndarray) -> np.ndarray:
         if how == "middle":
             places = (np.minimum(np.arange(0, side, block) + block // 2, side - 1) for side in values.shape[:2])
             return values[np.ix_(*places)]
@@ -157,7 +157,7 @@ def shrink(
     step = max(1, BAND_VALUES // (shape[1] * block)) * block
     out = np.empty(0)
     for start in range(0, shape[0], step):
-        part = reduced(np.asarray(read(slice(start, min(start + step, shape[0])))))
+        part = reduce_block(np.asarray(read(slice(start, min(start + step, shape[0])))))
         out = out if start else np.empty((-(-shape[0] // block), *part.shape[1:]), part.dtype)
         out[start // block : start // block + len(part)] = part
     return out

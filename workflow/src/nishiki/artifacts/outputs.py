@@ -28,7 +28,7 @@ def output_of(outputs: Iterable[Output], name: str) -> Output:
     raise KeyError(name)
 
 
-def as_declared(outputs: Iterable[Output], arrays: Mapping[str, Any]) -> dict[str, Any]:
+def convert_to_declared(outputs: Iterable[Output], arrays: Mapping[str, Any]) -> dict[str, Any]:
     """Give arrays their declared types. KeyError where one is not declared, ValueError where axes disagree.
 
     Axes of one name have one length in all arrays.

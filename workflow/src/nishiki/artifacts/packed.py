@@ -59,13 +59,13 @@ class PackedStage:
         return ["capture/" if name == "capture" else f"artifacts/{own}{name}/{above[name]['key']}/" for name in above]
 
 
-def started(stage: PackedStage) -> str:
+def start_time(stage: PackedStage) -> str:
     """Return when a stage began, ISO 8601."""
     end = datetime.fromisoformat(stage.run["finished"])
     return (end - timedelta(seconds=float(stage.run["seconds"]))).isoformat(timespec="seconds")
 
 
-def ended(stage: PackedStage) -> str:
+def end_time(stage: PackedStage) -> str:
     """Return when a stage ended, ISO 8601."""
     return datetime.fromisoformat(stage.run["finished"]).isoformat(timespec="seconds")
 
@@ -95,7 +95,7 @@ class PackedScene:
     stages: list[PackedStage] = field(default_factory=list)  # the artifacts as they are packed
     with_capture: bool = True
 
-    def said(self, key: str) -> str:
+    def about_value(self, key: str) -> str:
         """Return the value of capture.yaml under a key of `about`; empty where it is missing."""
         return self.about.get(key) or ""
 

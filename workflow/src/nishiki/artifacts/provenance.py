@@ -53,7 +53,7 @@ def syntax_of(path: Path) -> Syntax:
     syntax = store.known.get(name)
     if syntax is None:
         tree = ast.parse(data)
-        names = tuple(sorted(_imported(tree)))  # before docstrings go
+        names = tuple(sorted(_list_imports(tree)))  # before docstrings go
         for node in ast.walk(tree):  # comments are no part of a syntax tree
             if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 if ast.get_docstring(node, clean=False) is not None:
@@ -64,7 +64,7 @@ def syntax_of(path: Path) -> Syntax:
     return syntax
 
 
-def _imported(tree: ast.Module) -> set[str]:
+def _list_imports(tree: ast.Module) -> set[str]:
     """List names in any import statement, late imports inside functions included."""
     names: set[str] = set()
     for node in ast.walk(tree):

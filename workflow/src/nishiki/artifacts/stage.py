@@ -27,11 +27,11 @@ from nishiki.artifacts.closed import Guarded, parse
 from nishiki.artifacts.limits import at_bounds, check, limit_warnings
 from nishiki.artifacts.maps import StagePart, TiledStage, in_order
 from nishiki.artifacts.provenance import canonical, name_above, stage_key
-from nishiki.errors import NotFinite, UserError, of_the_machine
+from nishiki.errors import NotFinite, UserError, describe_machine_error
 from nishiki.formats.files import read_json
 from nishiki.formats.picture_process import end_children
 from nishiki.formats.stored import METADATA, BandedArray
-from nishiki.installation import loaded
+from nishiki.installation import list_loaded
 from nishiki.progress import Progress
 from nishiki.threads import in_threads, threads
 from nishiki.version import PROJECT_VERSION
@@ -59,7 +59,7 @@ class RunFacts:
             "process_cpu_seconds": round(cpu, 3),
             "peak_memory_mib": round(peak_memory_kib() / 1024, 1),
             "bytes_read": None if read is None or self.read is None else read - self.read,
-            "packages": list(loaded()),
+            "packages": list(list_loaded()),
             "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             "host": platform.node(),
             "platform": platform.platform(),
@@ -72,7 +72,7 @@ class RunFacts:
 
 def bytes_read() -> int | None:
     """Return the bytes that this process requested from the operating system; None where they are not counted."""
-    return _of_process("io", "rchar:")
+    return _read_process_number("io", "rchar:")
 
 
 def peak_memory_kib() -> int:
@@ -81,10 +81,10 @@ def peak_memory_kib() -> int:
     ru_maxrss also counts the process that started this one, up to the moment at which it became this program: a small
     stage would show the memory of the workflow engine.
     """
-    return _of_process("status", "VmHWM:") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return _read_process_number("status", "VmHWM:") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-def _of_process(file: str, name: str) -> int | None:
+def _read_process_number(file: str, name: str) -> int | None:
     """Read a number that the system tells of this process."""
     try:
         lines = Path("/proc/self", file).read_text().splitlines()
@@ -148,7 +148,7 @@ def run_stage(
         print(f"nishiki {who}: interrupted", file=sys.stderr)
         raise SystemExit(130) from None
     except (OSError, MemoryError) as error:
-        message = of_the_machine(error)
+        message = describe_machine_error(error)
         if message is None:
             raise
         print(f"nishiki {who}: {message}. Finished results are kept.", file=sys.stderr)
@@ -305,7 +305,11 @@ def problems(folder: Path) -> Iterator[str]:
         if path.name == METADATA:
             yield from _zarr(path, path.parent.relative_to(folder).as_posix())
         elif path.suffix == ".npz":
-            yield from _npz(path, name)
+            with np.load(path, allow_pickle=False) as stored:
+                for key in stored.files:
+                    values = stored[key]
+                    if values.dtype.kind in "fc":
+                        yield _describe_forbidden(f"{name}: {key}", [((0,) * values.ndim, values)])
         elif path.suffix == ".json":
             yield from _words(path, name, r"[:,\[\s](?:NaN|-?Infinity)(?=[,\]}\s]|$)")
         elif path.suffix in (".csv", ".tsv"):
@@ -331,7 +335,7 @@ def _zarr(path: Path, name: str) -> Iterator[str]:
         return tuple(number * size for number, size in zip(place, array.chunks, strict=True)), array.chunk(place)
 
     written = (place for place in array.places() if array.path(*place).is_file())
-    yield _described(name, in_threads(block, written), nan_means=bool(array.attrs.get("nan")))
+    yield _describe_forbidden(name, in_threads(block, written), nan_means=bool(array.attrs.get("nan")))
 
 
 def _sum_is_finite(values: np.ndarray) -> bool:
@@ -340,21 +344,13 @@ def _sum_is_finite(values: np.ndarray) -> bool:
         return bool(np.isfinite(np.sum(values, dtype=np.float32 if values.dtype.itemsize == 2 else None)))
 
 
-def _npz(path: Path, name: str) -> Iterator[str]:
-    with np.load(path, allow_pickle=False) as stored:
-        for key in stored.files:
-            values = stored[key]
-            if values.dtype.kind in "fc":
-                yield _described(f"{name}: {key}", [((0,) * values.ndim, values)])
-
-
 def _words(path: Path, name: str, pattern: str | re.Pattern) -> Iterator[str]:
     match = re.search(pattern, path.read_text(encoding="utf-8", errors="replace"))
     if match:
         yield f"{name}: {match.group(0).strip(' ,:[')!r} at character {match.start()}"
 
 
-def _described(name: str, blocks: Iterable[tuple[Place, np.ndarray]], *, nan_means: bool = False) -> str:
+def _describe_forbidden(name: str, blocks: Iterable[tuple[Place, np.ndarray]], *, nan_means: bool = False) -> str:
     """Describe the forbidden values of parts of an array, each with the index of its first value; empty without any."""
     tests = {"infinite": np.isinf} | ({} if nan_means else {"NaN": np.isnan})
     counts, firsts = Counter[str](), dict[str, Place]()

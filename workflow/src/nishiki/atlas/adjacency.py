@@ -23,7 +23,9 @@ def across_edges(corners: np.ndarray) -> np.ndarray:
     return neighbours.reshape(count, 3)
 
 
-def smoothed(vectors: np.ndarray, weights: np.ndarray, neighbours: np.ndarray, *, rounds: int) -> np.ndarray:
+def smooth_over_triangles(
+    vectors: np.ndarray, weights: np.ndarray, neighbours: np.ndarray, *, rounds: int
+) -> np.ndarray:
     """Average unit vectors (f, 3) `rounds` times over each triangle and its neighbours, weighted by (f,).
 
     Triangles around which nothing has weight keep (0, 0, 0).

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
-from nishiki.atlas.adjacency import across_edges, borders, components, smoothed, smoothed_vertices, spread
+from nishiki.atlas.adjacency import across_edges, borders, components, smooth_over_triangles, smoothed_vertices, spread
 from nishiki.errors import require
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
@@ -24,7 +24,9 @@ def turning(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
     Up is the mean of the pictures' own up: over a turn what lies across the axis cancels. In a world that is known up
     to an affine map only, both are still constant over the object.
     """
-    up = normalised(-np.sum([camera.rotation[1] for camera in cameras], axis=0), np.array([0.0, 1.0, 0.0]))
+    up = -np.sum([camera.rotation[1] for camera in cameras], axis=0)
+    length = np.linalg.norm(up)
+    up = up / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
     back = -cameras[0].rotation[2]
     front = back - (back @ up) * up
     if np.linalg.norm(front) < 1e-3:  # looking down: the picture's foot is in front
@@ -32,12 +34,6 @@ def turning(cameras: list[Camera]) -> tuple[np.ndarray, np.ndarray]:
     if np.linalg.norm(front) < 1e-3:
         front = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
     return up, front / np.linalg.norm(front)
-
-
-def normalised(vector: np.ndarray, instead: np.ndarray) -> np.ndarray:
-    """Normalise a vector; return `instead` where its length is next to nothing."""
-    length = np.linalg.norm(vector)
-    return vector / length if length > 1e-6 else instead
 
 
 def probe_spacing(mesh: Mesh, cameras: list[Camera], *, texels_per_pixel: float) -> float:
@@ -203,7 +199,7 @@ def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float
     for rounds in SMOOTHING:
         vertices = smoothed_vertices(mesh.vertices, mesh.triangles, rounds=rounds)
         patience = FEW if best is not None or rounds < SMOOTHING[-1] else 1.0
-        charts = cut(mesh, vertices, rounds, up=up, front=front, spacing=spacing, patience=patience)
+        charts = cut_charts(mesh, vertices, rounds, up=up, front=front, spacing=spacing, patience=patience)
         if charts is not None and (best is None or len(charts.frames.direction) < len(best.frames.direction)):
             best = charts
         if best is not None and len(best.frames.direction) <= MANY:
@@ -211,7 +207,7 @@ def make_charts(mesh: Mesh, *, up: np.ndarray, front: np.ndarray, spacing: float
     return require(best)  # the last cut has patience for any number
 
 
-def cut(
+def cut_charts(
     mesh: Mesh, vertices: np.ndarray, rounds: int, *, up: np.ndarray, front: np.ndarray, spacing: float, patience: float
 ) -> Charts | None:
     """Cut a mesh into charts; None where more than `patience` of the triangles are turned over.
@@ -284,7 +280,7 @@ def nearest_direction(vertices, normals, areas, neighbours, *, up, front, smooth
     extent = np.linalg.norm(np.nanmax(vertices, axis=0) - np.nanmin(vertices, axis=0))
     # Averaging over neighbours spreads like diffusion: the range grows with the root of the rounds.
     rounds = int(np.clip((smoothing * extent / max(mean_edge, 1e-300)) ** 2, 1, 400))
-    mean = smoothed(normals, areas, neighbours, rounds=rounds)
+    mean = smooth_over_triangles(normals, areas, neighbours, rounds=rounds)
     return np.argmax(mean @ np.concatenate([axes, -axes]).T, axis=1).astype(np.int32)
 
 

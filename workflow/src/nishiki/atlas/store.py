@@ -65,37 +65,37 @@ class Texels:
 
     def read(self, component: str, tile: int) -> np.ndarray:
         """Read texels (M, T, T, channels) float32 linear of a tile in every observation, 0 where not visible."""
-        self._known(component)
-        return np.stack([self._of_tiles(f"values/{component}", tile, o) for o in range(self.observations)])
+        self._expect_component(component)
+        return np.stack([self._read_tile(f"values/{component}", tile, o) for o in range(self.observations)])
 
     def visible(self, tile: int) -> np.ndarray:
         """Read where `read` has a value: (M, T, T) bool."""
-        return np.stack([self._of_tiles("visible", tile, o) for o in range(self.observations)]) != 0
+        return np.stack([self._read_tile("visible", tile, o) for o in range(self.observations)]) != 0
 
     def geometry(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Read positions (T, T, 3) float32, unit normals (T, T, 3) float32, inside (T, T) bool of a tile; 0 outside.
 
         Inside: among the four texels that some surface point is interpolated from.
         """
-        normals = self._of_tiles("normals", tile)
-        return self._of_tiles("positions", tile), normals, (normals != 0).any(axis=-1)
+        normals = self._read_tile("normals", tile)
+        return self._read_tile("positions", tile), normals, (normals != 0).any(axis=-1)
 
     def samples(self, component: str, tile: int, *, saturated: bool = False) -> TexelSamples:
         """Read every valid object pixel of every observation that falls into a tile; those of held-out views too.
 
         saturated: also pixels that are not valid but hold a value, as saturated ones do.
         """
-        self._known(component)
+        self._expect_component(component)
         parts = []
         for light in range(len(self.lights)):
             for view in range(len(self.views)):
                 part = slice(*self._offsets[view, tile : tile + 2])
                 if part.stop == part.start:
                     continue
-                valid = self._of_pixels("valid", view, part, light) != 0
-                every = self._of_pixels(f"values/{component}", view, part, light)
+                valid = self._read_pixels("valid", view, part, light) != 0
+                every = self._read_pixels(f"values/{component}", view, part, light)
                 kept = valid | (np.isfinite(every).all(axis=1) & (every > 0).any(axis=1)) if saturated else valid
-                place = {name: self._of_pixels(name, view, part)[kept] for name in ("s", "t", "row", "column")}
+                place = {name: self._read_pixels(name, view, part)[kept] for name in ("s", "t", "row", "column")}
                 place["valid"] = valid[kept]
                 values = every[kept]
                 parts.append((np.full(len(values), light * len(self.views) + view, np.int32), place, values))
@@ -115,7 +115,7 @@ class Texels:
             joined["valid"],
         )
 
-    def _known(self, component: str) -> None:
+    def _expect_component(self, component: str) -> None:
         if component not in self.components:
             raise KeyError(f"no component {component!r} in {self.folder}; there are {', '.join(self.components)}")
 
@@ -124,13 +124,13 @@ class Texels:
             self._arrays[name] = self._group[name]
         return self._arrays[name]
 
-    def _of_tiles(self, name: str, tile: int, observation: int | None = None) -> np.ndarray:
+    def _read_tile(self, name: str, tile: int, observation: int | None = None) -> np.ndarray:
         """Read one tile of an array (tiles, ...) or (observations, tiles, ...)."""
         array = self._array(name)
         lead = () if observation is None else (observation,)
         return self._part(array, (name, observation), lead, len(lead), slice(tile, tile + 1))[0]
 
-    def _of_pixels(self, name: str, view: int, part: slice, light: int | None = None) -> np.ndarray:
+    def _read_pixels(self, name: str, view: int, part: slice, light: int | None = None) -> np.ndarray:
         """Read some pixels of an array (pixels, ...) or (lights, pixels, ...)."""
         name = f"pixels/{name}"
         lead = () if light is None else (light,)

@@ -195,7 +195,7 @@ def pixel_places(atlas: Atlas, raster: Raster, shown: np.ndarray) -> PixelPlaces
 
 
 @dataclass(frozen=True)
-class Sampled:
+class TexelValues:
     """values (..., channels) float32, 0 where not visible; visible (...) bool."""
 
     values: np.ndarray
@@ -212,7 +212,7 @@ def sample_view(
     pictures: list[np.ndarray],
     tolerance: float = 1.0,
     grazing_deg: float = 80.0,
-) -> list[Sampled]:
+) -> list[TexelValues]:
     """Sample texels in one view, for each of its pictures (rows, columns, channels) float32.
 
     positions, normals (..., 3), inside (...): texels; depth (rows, columns): of the view's `Raster`, infinite in pixels
@@ -244,7 +244,7 @@ def sample_view(
     for picture in pictures:
         values = np.zeros((inside.size, picture.shape[2]), np.float32)
         values[index] = sum(weight[seen, None] * picture[row[seen], column[seen]] for (row, column), weight in near)
-        sampled.append(Sampled(values.reshape(*inside.shape, -1), visible.reshape(inside.shape)))
+        sampled.append(TexelValues(values.reshape(*inside.shape, -1), visible.reshape(inside.shape)))
     return sampled
 
 

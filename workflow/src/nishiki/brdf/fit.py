@@ -79,15 +79,15 @@ def fit_torrance_sparrow(
     Fitted in float32 if amplitude is float32, else in float64.  Raises UserError for shapes that do not agree, negative
     weights, or bounds that are not 0 < low < high.
     """
-    arrays = _prepared(phi, amplitude, attenuation, diffuse, weights)
+    arrays = _prepare(phi, amplitude, attenuation, diffuse, weights)
     low, high = gamma_bounds
     if not 0 < low < high < np.inf:
         raise UserError(f"gamma_bounds: expected 0 < low < high in radians, found {gamma_bounds}; e.g. {GAMMA_BOUNDS}")
     strengths, reports = project_points(*arrays, float(np.log(low)), float(np.log(high)))
-    return _judged(arrays, strengths, reports, low, high)
+    return _judge(arrays, strengths, reports, low, high)
 
 
-def _prepared(
+def _prepare(
     phi, amplitude, attenuation, diffuse, weights
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return contiguous arrays of one float type; fill in the defaults and check the shapes."""
@@ -111,7 +111,7 @@ def _prepared(
     return angles, np.ascontiguousarray(amplitude, real), attenuation, diffuse, weights
 
 
-def _judged(arrays, strengths, reports, low, high) -> PointFits:
+def _judge(arrays, strengths, reports, low, high) -> PointFits:
     """Derive flags and standard deviations from the solver's reports; set unsupported lobes to 'no highlight'."""
     _, amplitude, _, diffuse, weights = arrays
     channels = amplitude.shape[2]
@@ -195,10 +195,10 @@ class _Points:
             given = (phi, attenuation, diffuse, weights, values)
             phi, attenuation, diffuse, weights, values = (np.where(finite, column, 0) for column in given)
         root = np.sqrt(weights)
-        lobe, top_lobe = _scaled(attenuation * root)
-        diffuse, top_diffuse = _scaled(diffuse * root)
+        lobe, top_lobe = _scale(attenuation * root)
+        diffuse, top_diffuse = _scale(diffuse * root)
         values = values * root
-        flat, top = _scaled(values.reshape(-1, values.shape[-1]))
+        flat, top = _scale(values.reshape(-1, values.shape[-1]))
         values, total = flat.reshape(values.shape), _products(diffuse, diffuse)
         product = _products(diffuse, values)
         alone = np.where((product > 0) & (total > 0), product / total, 0)
@@ -211,7 +211,7 @@ class _Points:
         return _Points(*(np.ascontiguousarray(values[..., chosen]) for values in vars(self).values()))
 
 
-def _scaled(column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _scale(column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Divide a column (n, points) by its mean absolute value, which is returned; 1 where it is 0."""
     mean = np.abs(column).mean(axis=0)
     mean = np.where(mean > 0, mean, 1)
@@ -228,7 +228,7 @@ def _fit(points: _Points, log_min: float, log_max: float, report: np.ndarray) ->
     step = np.log(2)  # of the grid: the next width is half, whose lobe is the fourth power
     t = log_max - step * _best_of_grid(points, log_max, int(np.ceil((log_max - log_min) / step)) + 1)
     t = np.maximum(t, log_min)
-    t, strengths, curvature, rss = _refined(points, t, np.maximum(t - step, log_min), np.minimum(t + step, log_max))
+    t, strengths, curvature, rss = _refine(points, t, np.maximum(t - step, log_min), np.minimum(t + step, log_max))
     report[:, GAMMA], report[:, CURVATURE], report[:, RSS] = np.exp(t), curvature, rss
     report[:, RSS_DIFFUSE] = _products(points.left, points.left).sum(axis=0)
     report[:, USED], report[:, SCALE] = points.used, points.scales[2]
@@ -283,7 +283,7 @@ def _best_of_grid(points: _Points, log_max: float, steps: int) -> np.ndarray:
     return index
 
 
-def _evaluated(points: _Points, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _evaluate(points: _Points, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Compute strengths (2, channels, points) at log gamma t; slope, curvature, rss (points,) of the projected problem.
 
     slope: minus half the derivative of the sum of squares by t (exact); curvature: Kaufman's approximation of half the
@@ -306,7 +306,7 @@ def _evaluated(points: _Points, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     return np.stack([ks, kd]), slope, curvature, _products(rest, rest).sum(axis=0)
 
 
-def _refined(points: _Points, t: np.ndarray, lo: np.ndarray, hi: np.ndarray):
+def _refine(points: _Points, t: np.ndarray, lo: np.ndarray, hi: np.ndarray):
     """Refine t = log gamma in lo .. hi by safeguarded Gauss-Newton; return (t, strengths, curvature, rss) at that t."""
     real = points.square.dtype
     settled = 1e-3 if real == np.float32 else 1e-9  # of the step before: what is left is far smaller
@@ -316,7 +316,7 @@ def _refined(points: _Points, t: np.ndarray, lo: np.ndarray, hi: np.ndarray):
     numbers, moved = np.arange(len(t)), np.full(len(t), np.inf)  # of the points that are still in `points`
     for _ in range(REFINEMENTS + 1):
         here = t[numbers]
-        strengths[..., numbers], slope, curvature[numbers], rss[numbers] = _evaluated(points, here)
+        strengths[..., numbers], slope, curvature[numbers], rss[numbers] = _evaluate(points, here)
         on = (moved >= settled) & (slope != 0) & (curvature[numbers] > 0)
         if not on.any():
             break

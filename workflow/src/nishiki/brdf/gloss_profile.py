@@ -223,7 +223,7 @@ class GlossProfile:
         index = self.refractive_index if self.colour is None else 1.45
         return GlossProfile(np.zeros(self.gamma.size), self.gamma, index, 0.0, self.unit)
 
-    def balanced(self, observations: np.ndarray) -> np.ndarray:
+    def balance(self, observations: np.ndarray) -> np.ndarray:
         """Return light (..., channels) relative to a metal's colour, in which its gloss is white."""
         return observations if self.colour is None else observations / self.colour.astype(np.float32)
 
@@ -308,7 +308,7 @@ def specular_samples(observations, directions, normals, reflectance, gloss, *, v
     nz = normals[..., 2]
     across = lights[:, :2].reshape(*shape, 2)
     body = body_shading(cosine, nz, gloss) * body_factor(shading, cosine, x, across)
-    residual = gloss.balanced(observations).mean(axis=-1) - body * np.asarray(reflectance, np.float64).mean(axis=-1)
+    residual = gloss.balance(observations).mean(axis=-1) - body * np.asarray(reflectance, np.float64).mean(axis=-1)
     fresnel, cos_q = lights[:, 6].reshape(shape), lights[:, 7].reshape(shape)
     usable = valid & (cosine > 0.05) & (nz > 0.5)
     safe = np.where(nz > 0.5, nz, 1)

@@ -73,12 +73,12 @@ class HalfVectorTable:
             light = unit(theta[place[1]], phi[place[0]])
             seen = np.maximum(m @ light, 0) * facets * jacobian
             seen /= float(trapezoid(seen.shape[0]) @ seen @ trapezoid(seen.shape[1]))
-            where = warped(seen, s, t)
+            where = warp(seen, s, t)
             half = unit(np.pi / 2 * where[0] ** 2, (2 * where[1] - 1) * np.pi)
             eye = 2 * (half @ light)[:, None] * half - light
             f = evaluate(np.broadcast_to(light, eye.shape), eye) * np.maximum(eye[:, 2:], 0)
-            own_area = interpolated(area, *square_place(light[None]))
-            return seen, f * (4 * own_area / interpolated(facets, *where))[:, None]
+            own_area = interpolate_table(area, *square_place(light[None]))
+            return seen, f * (4 * own_area / interpolate_table(facets, *where))[:, None]
 
         places = list(product(range(len(phi)), range(len(theta))))
         squares = list(in_threads(square, places))
@@ -99,10 +99,10 @@ class HalfVectorTable:
         corners = [
             (of_b * of_a, (b, a)) for b, of_b in between(self.phi, phi) for a, of_a in between(self.theta, theta)
         ]
-        s, t = unwarped(self.visible, corners, x, y)
+        s, t = unwarp(self.visible, corners, x, y)
         values = np.moveaxis(self.values, 2, -1)
-        q = sum(weight[:, None] * interpolated(values, s, t, at) for weight, at in corners)
-        scale = interpolated(self.facets, x, y) / (4 * interpolated(self.area, *square_place(i)))
+        q = sum(weight[:, None] * interpolate_table(values, s, t, at) for weight, at in corners)
+        scale = interpolate_table(self.facets, x, y) / (4 * interpolate_table(self.area, *square_place(i)))
         out[above] = q * (scale / o[:, 2])[:, None]
         return out
 
@@ -144,7 +144,7 @@ def facets_of(evaluate: Evaluate) -> tuple[np.ndarray, np.ndarray]:
     return facets, (seen @ (facets * solid).ravel()).reshape(upright.shape)
 
 
-def warped(density: np.ndarray, s: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def warp(density: np.ndarray, s: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Warp s and t (n,), 0 to 1, by a density (rows, columns) to places x, y (n,) in the square."""
     rows, columns = density.shape
     along = running(density)
@@ -163,7 +163,7 @@ def warped(density: np.ndarray, s: np.ndarray, t: np.ndarray) -> tuple[np.ndarra
     return (column + u) / (columns - 1), (row + v) / (rows - 1)
 
 
-def unwarped(densities: np.ndarray, corners: list, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def unwarp(densities: np.ndarray, corners: list, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Find s, t (n,) that the warp carries to x, y; its density is the sum of weight densities[at] over corners."""
     rows, columns = densities.shape[-2:]
     along = running(densities)
@@ -171,19 +171,19 @@ def unwarped(densities: np.ndarray, corners: list, x: np.ndarray, y: np.ndarray)
     marginal = running(totals)
     row, column, v, u = cell(rows, columns, x, y)
 
-    def summed(table: np.ndarray, *place: np.ndarray) -> np.ndarray:
+    def sum_tables(table: np.ndarray, *place: np.ndarray) -> np.ndarray:
         return sum(weight * table[(*at, *place)] for weight, at in corners)
 
     def in_row(table: np.ndarray, place: np.ndarray) -> np.ndarray:
-        return (1 - v) * summed(table, row, place) + v * summed(table, row + 1, place)
+        return (1 - v) * sum_tables(table, row, place) + v * sum_tables(table, row + 1, place)
 
     left, right = in_row(densities, column), in_row(densities, column + 1)
-    first, second = summed(totals, row), summed(totals, row + 1)
+    first, second = sum_tables(totals, row), sum_tables(totals, row + 1)
     s = in_row(along, column) + u * (left + u * (right - left) / 2)
-    t = summed(marginal, row) + v * (first + v * (second - first) / 2)
+    t = sum_tables(marginal, row) + v * (first + v * (second - first) / 2)
     least = np.finfo(np.float32).tiny
     return s / np.maximum((1 - v) * first + v * second, least), t / np.maximum(
-        summed(marginal, np.full_like(row, rows - 1)), least
+        sum_tables(marginal, np.full_like(row, rows - 1)), least
     )
 
 
@@ -214,7 +214,7 @@ def cell(rows: int, columns: int, x: np.ndarray, y: np.ndarray) -> tuple[np.ndar
     return row, column, v - row, u - column
 
 
-def interpolated(table: np.ndarray, x: np.ndarray, y: np.ndarray, at: tuple = ()) -> np.ndarray:
+def interpolate_table(table: np.ndarray, x: np.ndarray, y: np.ndarray, at: tuple = ()) -> np.ndarray:
     """Interpolate table[at] (rows, columns, ...) at places x, y (n,), 0 to 1: (n, ...)."""
     rows, columns = table.shape[len(at) : len(at) + 2]
     row, column, v, u = cell(rows, columns, x, y)

@@ -8,7 +8,7 @@ from nishiki.brdf.gloss_profile import GlossProfile, SpecularProfile
 NO_GLOSS = "no gloss: Lambert"
 
 
-def described_ladder(
+def describe_ladder(
     beta: np.ndarray, gamma: np.ndarray, lobes: np.ndarray, profile: SpecularProfile, refractive_index: float
 ) -> dict:
     """Describe lobes of given widths (`nishiki.brdf.gloss_profile`): those of some strength, strongest first.
@@ -51,7 +51,7 @@ def without_gloss(refractive_index: float, samples: int) -> dict:
     }
 
 
-def of_equal_lobes(regions: list[dict]) -> list[dict]:
+def pad_lobes(regions: list[dict]) -> list[dict]:
     """Add lobes of strength 0 to the regions, so that all have as many."""
     most = max(len(region["beta"]) for region in regions)
     return [
@@ -115,7 +115,7 @@ def join_regions(scenes: list[list[dict]]) -> tuple[list[dict], list[list[int]]]
             firsts.append((region, own))
         groups[place].append(region)
         numbers[scene][number] = place
-    return of_equal_lobes([_pool(group) for group in groups]) if groups else [], numbers
+    return pad_lobes([_pool(group) for group in groups]) if groups else [], numbers
 
 
 def _pool(group: list[dict]) -> dict:

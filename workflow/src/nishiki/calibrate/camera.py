@@ -31,11 +31,11 @@ from nishiki.errors import UserError
 from nishiki.formats.images import read_header
 from nishiki.formats.text_tables import number_of, table_rows
 from nishiki.geometry.board import BoardCorners, BoardShape, board_of, calibrate, detect_boards
-from nishiki.geometry.board import Calibration as LensFit
+from nishiki.geometry.board import LensCalibration as LensFit
 from nishiki.observations.linearise import check_linearity
-from nishiki.report.page import Figure, Figures, Section, Table
-from nishiki.report.pictures import encoded, heat, scalar_picture
-from nishiki.report.svg import PALETTE, Curve, chart
+from nishiki.report.page import Figure, Figures, PageSection, Table
+from nishiki.report.pictures import encode_picture, heat, scalar_picture
+from nishiki.report.svg import PALETTE, ChartCurve, chart
 
 LEAST_LEVELS = 3  # exposures
 WINDOW = 0.5  # share of each side, in the middle, from which means and variances are taken
@@ -209,7 +209,7 @@ def _defects(dark: np.ndarray, light: np.ndarray | None) -> tuple[np.ndarray, np
     return hot, dead, smooth / smooth.max()
 
 
-def _sections(rows, channels, exposures, levels, variances, usable, shading, content) -> list[Section]:
+def _sections(rows, channels, exposures, levels, variances, usable, shading, content) -> list[PageSection]:
     head = ("channel", "dark level", "off the line %", "gain e/code", "±", "read noise codes", "±", "read noise e")
     linear = _plot(exposures, levels, usable, channels, "exposure, s", "code above dark", "linearity")
     transfer = _plot(levels, variances, usable, channels, "code above dark", "variance, codes²", "photon transfer")
@@ -225,14 +225,14 @@ def _sections(rows, channels, exposures, levels, variances, usable, shading, con
         f"Hot samples: {content['hot_samples']}, dead: {content['dead_samples']}. Noise of a response of {RESPONSE:g} "
         f"relative to white: {content['spectra_noise']:g}; config-lines.yaml has it for the stage spectra."
     )
-    return [Section("camera", "Camera", [Table(head, rows, "lrrrrrrr"), text, Figures(figures, 2)])]
+    return [PageSection("camera", "Camera", [Table(head, rows, "lrrrrrrr"), text, Figures(figures, 2)])]
 
 
 def _plot(x, y, usable, channels, x_label, y_label, title) -> str:
     """Draw the used points of every channel, and lines between them."""
     x = np.broadcast_to(x[:, None] if x.ndim == 1 else x, y.shape)
     curves = [
-        Curve(channel, x[usable[:, c], c], y[usable[:, c], c], PALETTE[c % len(PALETTE)], dots=dots)
+        ChartCurve(channel, x[usable[:, c], c], y[usable[:, c], c], PALETTE[c % len(PALETTE)], dots=dots)
         for dots in (False, True)
         for c, channel in enumerate(["" if dots else name for name in channels])
     ]
@@ -418,7 +418,7 @@ def calibrate_geometry(
     )
     pictures = [(Path(name).name, float(value)) for name, value in fit.picture_px.items()]
     sections = [
-        Section(
+        PageSection(
             "geometry",
             "Lens and stage",
             [
@@ -449,4 +449,4 @@ def _residual_picture(pictures: Sequence[BoardCorners], fit: LensFit, rows: int,
             end = tuple(int(v) for v in np.round((pixel + ARROW * away) * scale))
             cv2.line(canvas, start, end, (181, 84, 43), 1, cv2.LINE_AA)
             cv2.circle(canvas, start, 1, (31, 78, 121), -1)
-    return encoded(canvas, lossless=True)
+    return encode_picture(canvas, lossless=True)

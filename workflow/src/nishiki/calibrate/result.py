@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from nishiki.artifacts.closed import merged
+from nishiki.artifacts.closed import merge_blocks
 from nishiki.capture.layouts import photographs_in
 from nishiki.capture.lights import read_lights
 from nishiki.capture.schema import read_mapping
@@ -20,8 +20,8 @@ from nishiki.capture.taking import lights_text, settings_text
 from nishiki.errors import UserError
 from nishiki.formats.files import put_file, whole_folder
 from nishiki.formats.images import read_header
-from nishiki.report.page import Block, Facts, Figure, Figures, Listing, Page, Section, Table, render_page
-from nishiki.report.pictures import encoded
+from nishiki.report.page import Block, CommandLines, Facts, Figure, Figures, Page, PageSection, Table, render_page
+from nishiki.report.pictures import encode_picture
 from nishiki.report.svg import lights_plot
 from nishiki.version import PROJECT_VERSION
 
@@ -65,7 +65,7 @@ class Calibration:
     numbers: dict  # plain data, with uncertainties
     inputs: Sequence[Path]  # files that were read; their digests are kept
     lines: dict  # keys of capture.yaml and their values; names of files are those of `files`
-    sections: Sequence[Section]  # of the page, with the pictures that show whether to trust it
+    sections: Sequence[PageSection]  # of the page, with the pictures that show whether to trust it
     subtitle: str
     files: Mapping[str, str | bytes] = field(default_factory=dict)  # text or bytes by name, for a capture to use
     warnings: Sequence[str] = ()
@@ -90,8 +90,8 @@ def write_calibration(folder: Path, result: Calibration) -> None:
         subtitle=result.subtitle,
         sections=[
             *result.sections,
-            *([Section("lines", "For capture.yaml", [Listing(lines)])] if lines else []),
-            Section("inputs", "Inputs", [Facts([(name, digest) for name, digest in digests.items()])]),
+            *([PageSection("lines", "For capture.yaml", [CommandLines(lines)])] if lines else []),
+            PageSection("inputs", "Inputs", [Facts([(name, digest) for name, digest in digests.items()])]),
         ],
         version=PROJECT_VERSION,
         footer=f"Nishiki {PROJECT_VERSION}, calibration of {result.kind}. All numbers: {NUMBERS}.",
@@ -120,7 +120,7 @@ def put_into_capture(capture: Path, result: Calibration) -> None:
     for name in files:
         if (capture / name).exists():
             raise UserError(f"{capture / name} exists. Remedy: move it away; nothing is overwritten")
-    text = settings_text(merged(settings, result.lines))
+    text = settings_text(merge_blocks(settings, result.lines))
     for name, data in files.items():
         (capture / name).write_bytes(data.encode() if isinstance(data, str) else data)
     put_file(path, text)
@@ -181,10 +181,10 @@ def dome_text(names: list[str], directions: np.ndarray, positions: np.ndarray | 
     Directions are from the middle of the picture; `names` are those of the photographs, which Relight does not read.
     """
 
-    def listed(vectors: np.ndarray) -> list[dict[str, float]]:
+    def list_vectors(vectors: np.ndarray) -> list[dict[str, float]]:
         return [{axis: float(f"{v:.9g}") for axis, v in zip("xyz", vector, strict=True)} for vector in vectors]
 
-    near = [] if positions is None else listed(positions)
+    near = [] if positions is None else list_vectors(positions)
     content = {
         "label": "",
         "notes": "measured by nishiki calibrate spheres; lengths in mm",
@@ -192,7 +192,7 @@ def dome_text(names: list[str], directions: np.ndarray, positions: np.ndarray | 
         "domeDiameter": float(f"{2 * np.linalg.norm(positions, axis=1).mean():.6g}") if positions is not None else 0.0,
         "verticalOffset": 0.0,
         "lightConfiguration": "lights3d" if near else "directional",
-        "directions": listed(directions),
+        "directions": list_vectors(directions),
         "positionsSphere": near,
         "positions3d": near,
         "ledAdjust": [],
@@ -256,7 +256,7 @@ def _numbers(measured: MeasuredSpheres, given: SphereInput) -> dict:
     }
 
 
-def _lamp_section(measured: MeasuredSpheres) -> Section:
+def _lamp_section(measured: MeasuredSpheres) -> PageSection:
     fit, names, positioned = measured.fit, measured.names, measured.positioned
     rows = []
     for i, name in enumerate(names):
@@ -276,12 +276,12 @@ def _lamp_section(measured: MeasuredSpheres) -> Section:
     head = ("lamp", "azimuth °", "polar °", "± °", "distance mm", "± mm", "residual px", "spheres used")
     plot = lights_plot(np.asarray(fit.directions), list(names), ["sample"] * len(names))
     caption = "From above: the middle is towards the camera, the rim the object's plane."
-    return Section(
+    return PageSection(
         "lamps", "Lamps", [Figures([Figure("Directions", caption, svg=plot)], 2), Table(head, rows, "lrrrrrrr")]
     )
 
 
-def _picture_section(found: Findings) -> Section:
+def _picture_section(found: Findings) -> PageSection:
     """Show photographs with accepted and rejected circles, every sphere with all highlights, and reasons."""
     figures = []
     for k, outline in enumerate(found.outlines):
@@ -289,19 +289,19 @@ def _picture_section(found: Findings) -> Section:
             f"Brightest of all photographs. Green: the outline fitted, {outline.rms_px:.2g} px root mean square, along "
             f"{100 * outline.support:.0f} % of it. Red: where each lamp's highlight was measured."
         )
-        figures.append(Figure(f"Sphere {k + 1}", caption, encoded(draw_sphere(found, k))))
+        figures.append(Figure(f"Sphere {k + 1}", caption, encode_picture(draw_sphere(found, k))))
     caption = "Brightest of all photographs. Green: spheres. Grey: circles that were examined and are none."
-    figures.append(Figure("All circles", caption, encoded(draw_findings(found))))
+    figures.append(Figure("All circles", caption, encode_picture(draw_findings(found))))
     parts: list[Block] = [Figures(figures, 2)]
     if found.rejected:
         rows = [(c.row, c.column, c.radius, why) for c, why in found.rejected]
         parts.append(Table(("row", "column", "radius px", "why it is no sphere"), rows, "rrrl"))
     if found.left_out:
         parts.append(Table(("photograph", "why its lamp was left out"), list(found.left_out.items()), "ll"))
-    return Section("spheres", "Spheres", parts)
+    return PageSection("spheres", "Spheres", parts)
 
 
-def _comparison(fit: LampFit, names: list[str], path: Path) -> tuple[dict, Section]:
+def _comparison(fit: LampFit, names: list[str], path: Path) -> tuple[dict, PageSection]:
     """Compute angles to the directions of another file, by name where it has names, else in order."""
     other = read_lights(path, frontal=False)
     if all(file is None for file in other.files):
@@ -328,4 +328,6 @@ def _comparison(fit: LampFit, names: list[str], path: Path) -> tuple[dict, Secti
         f"Against {path.name}: mean {angles.mean():.2f}°, largest {angles.max():.2f}°; {turned.mean():.2f}° after one "
         "turn that all lamps share, as between two cameras' frames."
     )
-    return numbers, Section("comparison", "Compared", [text, Table(("lamp", "angle °", "after turn °"), rows, "lrr")])
+    return numbers, PageSection(
+        "comparison", "Compared", [text, Table(("lamp", "angle °", "after turn °"), rows, "lrr")]
+    )

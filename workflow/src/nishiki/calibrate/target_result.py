@@ -23,9 +23,9 @@ from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.errors import UserError
 from nishiki.formats.coding import RGB
 from nishiki.formats.images import read_codes, read_header
-from nishiki.report.page import Block, Facts, Figure, Figures, Note, Section, Table
-from nishiki.report.pictures import encoded
-from nishiki.report.svg import Curve, chart
+from nishiki.report.page import Block, Facts, Figure, Figures, Note, PageSection, Table
+from nishiki.report.pictures import encode_picture
+from nishiki.report.svg import ChartCurve, chart
 
 WIDEST, SQUARE = 900, 96
 CHANNELS = (("red", "#b5542b"), ("green", "#3f7f4c"), ("blue", "#1f4e79"))
@@ -82,7 +82,7 @@ def calibrate_target(given: TargetInput) -> Calibration:
         reflectances = np.array([np.interp(WAVELENGTHS_NM, table.wavelengths_nm, each) for each in table.values.T])
     header = read_header(given.photograph)
     assumed = "srgb" if header.sample == "uint8" and header.kind != "raw" else "linear"
-    coding = header.coding_used(given.encoding or ("file" if header.coding else assumed))
+    coding = header.choose_coding(given.encoding or ("file" if header.coding else assumed))
     if coding.fault:
         raise UserError(f"{given.photograph.name}: {coding.fault}. Remedy: give --encoding linear or srgb")
     encoding = coding.encoding
@@ -133,9 +133,12 @@ def calibrate_target(given: TargetInput) -> Calibration:
         mean, largest = errors.summary["delta_e_mean"], errors.summary["delta_e_max"]
         sentences.append(f"Colours {how}: CIEDE2000 {mean:.2f} mean, {largest:.2f} largest ({levels}).")
     colours = [*_pictures(picture, reference, patches, judged), _table(names, patches, judged)]
-    sections = [Section("colours", "Colours", colours), Section("verdicts", "Verdicts", [*_verdicts(judged), JUDGED])]
+    sections = [
+        PageSection("colours", "Colours", colours),
+        PageSection("verdicts", "Verdicts", [*_verdicts(judged), JUDGED]),
+    ]
     if recovered is not None:
-        sections.append(Section("sensitivities", "Sensitivities of the camera", _sensitivities(recovered)))
+        sections.append(PageSection("sensitivities", "Sensitivities of the camera", _sensitivities(recovered)))
     inputs = [given.photograph, *([given.reflectances] if given.reflectances else [])]
     return Calibration("target", numbers, inputs, lines, sections, " ".join(sentences), files, warnings)
 
@@ -147,7 +150,7 @@ def _pictures(picture, reference, patches: Patches, judged: dict[str, ColourErro
     small = cv2.resize(picture, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     for quad in patches.corners:
         cv2.polylines(small, [np.round(quad * scale).astype(np.int32)], True, (255, 255, 255), 2)
-    figures = [Figure("Photograph", "Outlined: the squares that were averaged.", encoded(small))]
+    figures = [Figure("Photograph", "Outlined: the squares that were averaged.", encode_picture(small))]
     for how, errors in judged.items():
         caption = "Each square: the reference around, the photograph in the middle."
         figures.append(Figure(f"Colours {how}", caption, _mosaic(reference, errors)))
@@ -164,7 +167,7 @@ def _mosaic(reference: np.ndarray, errors: ColourErrors):
         codes[y : y + SQUARE, x : x + SQUARE] = np.round(255 * outer[k])
         edge = SQUARE // 4
         codes[y + edge : y + SQUARE - edge, x + edge : x + SQUARE - edge] = np.round(255 * inner[k])
-    return encoded(codes, lossless=True)
+    return encode_picture(codes, lossless=True)
 
 
 def _table(names, patches: Patches, judged: dict[str, ColourErrors]) -> Table:
@@ -195,7 +198,7 @@ def _verdicts(judged: dict[str, ColourErrors]) -> list[Block]:
 
 def _sensitivities(found: Sensitivities) -> list[Block]:
     curves = [
-        Curve(name, WAVELENGTHS_NM, values, colour)
+        ChartCurve(name, WAVELENGTHS_NM, values, colour)
         for (name, colour), values in zip(CHANNELS, found.curves, strict=True)
     ]
     drawing = chart(

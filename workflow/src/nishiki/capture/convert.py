@@ -31,7 +31,7 @@ from nishiki.capture.layouts import (
     read_with_lights_file,
     read_with_spheres,
 )
-from nishiki.capture.mosaic import COLUMNS, NAME, TABLE, Field, is_capture, is_mosaic, read_fields, within
+from nishiki.capture.mosaic import COLUMNS, NAME, TABLE, FieldRow, is_capture, is_mosaic, read_fields, within
 from nishiki.capture.options import ConvertOptions, file_problems, folder_problems
 from nishiki.capture.photogrammetry import (
     HEAD,
@@ -41,8 +41,8 @@ from nishiki.capture.photogrammetry import (
     read_transforms,
     transforms_file,
 )
-from nishiki.capture.registered import Pictures, Registration, colmap_folder, read_colmap
-from nishiki.capture.relightable import Rendering, read_relightable, recognise_relightable, write_rendered
+from nishiki.capture.registered import PictureIndex, Registration, colmap_folder, read_colmap
+from nishiki.capture.relightable import RelightableRendering, read_relightable, recognise_relightable, write_rendering
 from nishiki.capture.rti_projects import find_rti_project
 from nishiki.capture.spheres.measure import find_photographs, read_with_balls
 from nishiki.capture.turntable_layouts import (
@@ -54,7 +54,7 @@ from nishiki.capture.turntable_layouts import (
     find_turn,
     place_registered,
     read_middlebury,
-    read_numbered,
+    read_numbered_matrices,
     read_series,
     read_turn,
 )
@@ -69,8 +69,8 @@ UNKNOWN, EMPTY = "no lamps found, nor cameras", "no photographs in this folder"
 class MosaicLayout:
     """Fields of a mosaic, each with the layout of its folder."""
 
-    fields: tuple[Field, ...]
-    layouts: tuple[Layout | Rendering, ...]
+    fields: tuple[FieldRow, ...]
+    layouts: tuple[Layout | RelightableRendering, ...]
     options: ConvertOptions  # for each field
     name, geometry, channels, warnings = "fields", "mosaic", (), ()
 
@@ -85,7 +85,7 @@ class MosaicLayout:
         return f"{len(self.fields)} fields, {self.count} photographs"
 
 
-SourceLayout = Layout | RoundLayout | Rendering | MeasuredTable | MosaicLayout
+SourceLayout = Layout | RoundLayout | RelightableRendering | MeasuredTable | MosaicLayout
 """Return type of readers: `name`, `count` of the photographs, `parts` in words, `geometry`, `channels` and `warnings`.
 Each has a writer, see `convert.WRITERS`."""
 
@@ -122,7 +122,7 @@ def file_of_cameras(suffix: str, *marks: bytes, name: str = "", places: tuple[st
     return find
 
 
-CAMERAS: tuple[tuple[str, Callable[[Path], Path | None], Callable[[Path, Pictures], Registration]], ...] = (
+CAMERAS: tuple[tuple[str, Callable[[Path], Path | None], Callable[[Path, PictureIndex], Registration]], ...] = (
     ("COLMAP", colmap_folder, read_colmap),
     ("Meshroom", file_of_cameras(".sfm", name="cameras.sfm"), read_meshroom),
     ("transforms.json", transforms_file, read_transforms),
@@ -132,17 +132,17 @@ CAMERAS: tuple[tuple[str, Callable[[Path], Path | None], Callable[[Path, Picture
 """Camera formats of other programs: name, function that finds file or folder, function that reads it."""
 
 
-def cameras_of(program: str, find: Callable, read: Callable[[Path, Pictures], Registration]) -> FolderLayout:
+def cameras_of(program: str, find: Callable, read: Callable[[Path, PictureIndex], Registration]) -> FolderLayout:
     """Make the registry entry for folders with cameras of another program."""
 
     def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
-        pictures = Pictures(source)
+        pictures = PictureIndex(source)
         return place_registered(source, program, cameras.name, read(cameras, pictures), pictures)
 
     return FolderLayout(f"cameras of {program}", lambda source, options: find(source), read_registered)
 
 
-def find_fields(source: Path, options: ConvertOptions) -> tuple[Field, ...] | None:
+def find_fields(source: Path, options: ConvertOptions) -> tuple[FieldRow, ...] | None:
     """Return the fields of a table, or all folders with photographs where the user declares them fields."""
     if is_mosaic(source):
         return read_fields(source)
@@ -156,10 +156,10 @@ def find_fields(source: Path, options: ConvertOptions) -> tuple[Field, ...] | No
         refuse("field-name", unusable[0], "no name for a field", expected=expected, remedy=remedy)
     if len(folders) < 2:
         refuse("fields-few", str(source), "too few fields", expected="two folders of photographs or more")
-    return tuple(Field(each.name, each.name, each) for each in folders)
+    return tuple(FieldRow(each.name, each.name, each) for each in folders)
 
 
-def read_mosaic(source: Path, fields: tuple[Field, ...], options: ConvertOptions) -> MosaicLayout:
+def read_mosaic(source: Path, fields: tuple[FieldRow, ...], options: ConvertOptions) -> MosaicLayout:
     """Read the folder of each field; lamps that lie beside these folders apply to all fields."""
     options.refuse("Each field has a mask of its own: put it beside the photographs", "mask")
     lights = options.lights_file or find_lights_file(source, options)
@@ -167,7 +167,7 @@ def read_mosaic(source: Path, fields: tuple[Field, ...], options: ConvertOptions
     layouts = []
     for field in fields:
         layout = read_source(field.path, options)
-        if not isinstance(layout, Layout | Rendering):
+        if not isinstance(layout, Layout | RelightableRendering):
             refuse("fields-differ", field.place, "neither photographs of a plane nor relightable", found=layout.name)
         layouts.append(layout)
     return MosaicLayout(fields, tuple(layouts), options)
@@ -185,7 +185,7 @@ LAYOUTS = (
     FolderLayout("mirror spheres", find_spheres, read_with_spheres),
     *(cameras_of(*program) for program in CAMERAS),
     FolderLayout("list of cameras", find_camera_list, read_middlebury),
-    FolderLayout("camera matrices", find_matrices, read_numbered),
+    FolderLayout("camera matrices", find_matrices, read_numbered_matrices),
     FolderLayout(TURN, find_turn, read_turn),
     FolderLayout("polarisation series", find_states, read_series),
     FolderLayout("relightable image", recognise_relightable, read_relightable, files=True),
@@ -322,7 +322,7 @@ def write_mosaic(folder: Path, layout: MosaicLayout, source: Path, options: Conv
 WRITERS: dict[type, Callable[..., list[Problem]]] = {
     Layout: write_plane,
     RoundLayout: write_round,
-    Rendering: write_rendered,
+    RelightableRendering: write_rendering,
     MeasuredTable: write_table_capture,
     MosaicLayout: write_mosaic,
 }

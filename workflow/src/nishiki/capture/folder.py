@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.capture.frames import DIALECTS, Frame, Photographed, exposure_problems, inside, lamp_problems, read_frames
+from nishiki.capture.frames import DIALECTS, BaseCapture, Frame, exposure_problems, inside, lamp_problems, read_frames
 from nishiki.capture.goniometer import GoniometerCapture, GoniometerFile, examine_goniometer
 from nishiki.capture.lights import Lights, direction_problems, read_lights
 from nishiki.capture.mosaic import MosaicCapture, examine_mosaic, is_mosaic
@@ -66,7 +66,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Capture(Photographed):
+class Capture(BaseCapture):
     """A flat object under many lamps."""
 
     lights: Lights  # all lamps of the lights file
@@ -194,24 +194,24 @@ def examine(root: Path) -> tuple[AnyCapture | None, list[Problem]]:
     if settings is None:
         return None, problems
 
-    def named(file: str | None, key: str) -> Path | None:
+    def resolve(file: str | None, key: str) -> Path | None:
         return attempt(lambda: inside(payload, file, f"capture.yaml {key}")) if file else None
 
-    curves = named(settings.camera.sensitivities, "camera.sensitivities")
+    curves = resolve(settings.camera.sensitivities, "camera.sensitivities")
     names = settings.camera.channels
     label = settings.camera.sensitivities
     sensitivities = attempt(lambda: read_curves(curves, names=names, label=label)) if curves else None
-    illuminant = _illuminant(settings, named, attempt)
+    illuminant = _illuminant(settings, resolve, attempt)
     if isinstance(settings, TurntableFile | GoniometerFile):
-        read = Photographed(root, payload, settings, frames or (), sensitivities, illuminant)
+        read = BaseCapture(root, payload, settings, frames or (), sensitivities, illuminant)
         further = examine_turntable if settings.geometry == "turntable" else examine_goniometer
         capture, remarks = further(read, frames is not None, attempt)
         return capture, problems + remarks
-    lights_path, kind = named(settings.lights.file, "lights.file"), settings.lights.kind
+    lights_path, kind = resolve(settings.lights.file, "lights.file"), settings.lights.kind
     lights = attempt(lambda: read_lights(lights_path, kind=kind)) if lights_path else None
-    mask, regions = named(settings.mask, "mask"), named(settings.regions, "regions")
-    scales = named(settings.lights.intensities, "lights.intensities")
-    if named(settings.rendered_from, "rendered_from"):
+    mask, regions = resolve(settings.mask, "mask"), resolve(settings.regions, "regions")
+    scales = resolve(settings.lights.intensities, "lights.intensities")
+    if resolve(settings.rendered_from, "rendered_from"):
         what = f"these pictures are no photographs: they were rendered from {settings.rendered_from}; {LOST_BY_FIT}"
         problems.append(warning("rendered", "capture.yaml", what))
     if lights is None or frames is None:

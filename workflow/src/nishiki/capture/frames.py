@@ -371,7 +371,7 @@ class SourcePhotographs:
 
 
 @dataclass(frozen=True)
-class Photographed:
+class BaseCapture:
     """The folder and the photographs of a capture of any geometry."""
 
     root: Path  # the folder

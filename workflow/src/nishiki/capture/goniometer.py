@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.capture.frames import ANGLE_COLUMNS, TABLE, Frame, Photographed, exposure_problems, inside
+from nishiki.capture.frames import ANGLE_COLUMNS, TABLE, BaseCapture, Frame, exposure_problems, inside
 from nishiki.capture.goniometer_tables import ReflectanceTable, in_radians, radians_problem, read_table
 from nishiki.capture.lights import SAME_DEG
 from nishiki.capture.options import Azimuths, Values
@@ -185,7 +185,7 @@ def nearest(directions: list[tuple[float, float]], others: list[tuple[float, flo
 
 
 @dataclass(frozen=True)
-class GoniometerCapture(Photographed):
+class GoniometerCapture(BaseCapture):
     """A cloth on a goniometer.
 
     frames: none where there is a table; table: the reflectances given instead, or None; regions: label picture of the
@@ -217,7 +217,7 @@ class GoniometerCapture(Photographed):
 
 
 def examine_goniometer(
-    read: Photographed, complete: bool, attempt: Callable
+    read: BaseCapture, complete: bool, attempt: Callable
 ) -> tuple[GoniometerCapture | None, list[Problem]]:
     """Read the capture (None where its tables cannot be read) and list how its tables contradict each other.
 

@@ -67,7 +67,7 @@ def read_table(path: Path, name: str, *, values: str = "brdf", azimuths: str = "
             table = _cornell(table_lines(path, name, limit="reflectances_bytes"), name)
         else:
             table = _csv(table_rows(path, name, limit="reflectances_bytes"), name, values)
-    return _as_brdf(_checked(*table, name), values, azimuths)
+    return _as_brdf(_check_table(*table, name), values, azimuths)
 
 
 def _as_brdf(table: ReflectanceTable, values: str, azimuths: str) -> ReflectanceTable:
@@ -210,7 +210,7 @@ def _cornell(lines: Lines, name: str) -> tuple[np.ndarray, tuple[str, ...], arra
     return rows, tuple(f"{nm:g} nm" for nm in values[1 : 1 + count]), places[1 + count :: wide], []
 
 
-def _checked(
+def _check_table(
     rows: np.ndarray, channels: tuple[str, ...], lines: array, notes: list[Problem], name: str
 ) -> ReflectanceTable:
     """Return the table if it has rows of possible angles and finite values."""

@@ -16,7 +16,7 @@ from nishiki.capture.layouts import MASK_SUFFIXES, Layout, masks_in, natural_key
 from nishiki.capture.lights import Lights, rearrange
 from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions, file_problems, folder_problems
 from nishiki.capture.pairing import complete_bands, names_apart, pair_by_name, sort_bands
-from nishiki.capture.registered import Pictures
+from nishiki.capture.registered import PictureIndex
 from nishiki.capture.schema import FORMAT
 from nishiki.capture.tables import LENS_COLUMNS, MATRIX_COLUMNS
 from nishiki.capture.taking import (
@@ -249,7 +249,7 @@ def _match_silhouettes(layout: RoundLayout, folder: Path) -> tuple[dict[Path, Pa
     has the same path, as COLMAP's `cam0/0000.png.png`.
     """
     present = sorted(files_with(folder, MASK_SUFFIXES), key=natural_key)
-    below = Pictures(folder)
+    below = PictureIndex(folder)
     nested = {} if present else {p: below.find(f"{p}.png") or below.find(str(p)) for p in layout.photographs}
     found = {photograph: path for photograph, path in nested.items() if path is not None}
     if found and len(set(found.values())) == len(layout.photographs):

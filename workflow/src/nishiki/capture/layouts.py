@@ -146,7 +146,7 @@ def find_lights_file(source: Path, options: ConvertOptions) -> Path | None:
         return file
     return (
         None
-        if file.name == INFO or _folder_named(source, state_lights(source, file, options).lights, file) == source
+        if file.name == INFO or _find_folder(source, state_lights(source, file, options).lights, file) == source
         else file
     )
 
@@ -154,7 +154,7 @@ def find_lights_file(source: Path, options: ConvertOptions) -> Path | None:
 def read_with_lights_file(source: Path, file: Path, options: ConvertOptions) -> Layout:
     """Read the lights, find their photographs, and resolve with these whatever the file leaves open."""
     stated = state_lights(source, file, options)
-    return _settled(_with_lights(source, stated, file, options.mask or find_mask(source)), stated, file, options)
+    return _complete(_with_lights(source, stated, file, options.mask or find_mask(source)), stated, file, options)
 
 
 def state_lights(source: Path, file: Path, options: ConvertOptions) -> StatedLights:
@@ -166,7 +166,7 @@ def state_lights(source: Path, file: Path, options: ConvertOptions) -> StatedLig
     return read_lights_file(file, options.lights_kind, present)
 
 
-def _settled(layout: Layout, stated: StatedLights, file: Path, options: ConvertOptions) -> Layout:
+def _complete(layout: Layout, stated: StatedLights, file: Path, options: ConvertOptions) -> Layout:
     """Complete the layout with further statements of the file and decisions based on the photographs."""
     sample = cache(lambda: sample_photographs(layout.photographs, options.encoding))
     if len(layout.lights.names) != len(stated.lights.names):  # a line a band
@@ -193,7 +193,7 @@ def settle_directions(layout: Layout, options: ConvertOptions) -> Layout:
     """Estimate the distance of near lamps of known directions from the photographs."""
     kind = "position_mm" if options.lights_kind == "position_mm" else "direction"
     stated = StatedLights(layout.lights, kind, intensities=layout.intensities)
-    return _settled(layout, stated, Path(layout.name), options)
+    return _complete(layout, stated, Path(layout.name), options)
 
 
 def read_rtibuilder(source: Path, folders: dict[str, Path], options: ConvertOptions) -> Layout:
@@ -206,7 +206,7 @@ def read_rtibuilder(source: Path, folders: dict[str, Path], options: ConvertOpti
         refuse("layout-unknown", lights_file.name, "the lights file names no photographs", remedy=remedy)
     folder, others = find_project_photographs(source, folders, lights)
     layout = _with_lights(folder, stated, lights_file, options.mask or find_mask(source) or find_mask(folder))
-    layout = _settled(layout, stated, lights_file, options)
+    layout = _complete(layout, stated, lights_file, options)
     what = f"an RTIBuilder project: the lights of {lights_file.name} and the photographs of {folder.name}"
     found = f"the same photographs in {', '.join(others)}, not used" if others else ""
     words = [str(folders[others[-1]]), "--lights", str(lights_file)] if others else []
@@ -243,7 +243,7 @@ def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Pa
         return replace(layout, bands=banded.channels, band_files=banded.files)
     folder, lights = source, stated.lights
     if not (present := photographs_in(source)):
-        folder = _folder_named(source, lights, lights_file)
+        folder = _find_folder(source, lights, lights_file)
         present, mask = photographs_in(folder), mask or find_mask(folder)
     if all(file is None for file in lights.files):
         _expect_count(source, present, len(lights.names))
@@ -265,7 +265,7 @@ def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Pa
     return Layout("lights file", tuple(chosen), lights, None, mask, (*lights.warnings, *notes))
 
 
-def _folder_named(source: Path, lights: Lights, file: Path) -> Path:
+def _find_folder(source: Path, lights: Lights, file: Path) -> Path:
     """Find the folder that the lights file names for all photographs, of a folder without any; else return itself."""
     named = {same_name(PurePath(*re.split(r"[\\/]", file or "")).parent.name) for file in lights.files}
     place = PurePath(*re.split(r"[\\/]", next((file for file in lights.files if file), ""))).parent

@@ -77,7 +77,7 @@ def read_numbers(path: Path, encoding: str | None = None) -> tuple[list[str | No
     encoding: of a text that is not Unicode. CaptureError: lights-missing, lights-unreadable, lights-many, lights-count.
     """
     with reading(path.name, "lights"):
-        text = _decoded(read_bytes(path, "table_bytes", name=path.name), encoding)
+        text = _decode(read_bytes(path, "table_bytes", name=path.name), encoding)
         parse = _parse_table if path.suffix.lower() == ".csv" else _parse_list
         names, rows = parse(text, path.name, counted=path.suffix.lower() not in (".csv", ".txt"))
     expect_rows(len(names), "lights", path.name, "lights")
@@ -89,13 +89,13 @@ def is_unicode(path: Path) -> bool:
     with reading(path.name, "lights"):
         content = read_bytes(path, "table_bytes", name=path.name)
     try:
-        _decoded(content, "ascii")
+        _decode(content, "ascii")
     except UnicodeDecodeError:
         return content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     return True
 
 
-def _decoded(content: bytes, encoding: str | None = None) -> str:
+def _decode(content: bytes, encoding: str | None = None) -> str:
     """Decode a lights file: UTF-16 by its mark, UTF-8, or a code page, Latin-1 if none is given."""
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return content.decode("utf-16")
@@ -208,7 +208,7 @@ def direction_problems(directions: np.ndarray, file: str) -> list[Problem]:
 
 def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None], list[list[float]]]:
     """Parse a `.lp` (counted) or a bare list of vectors, one a line."""
-    lines = list(islice(_kept(text), bound("lights") + 2))  # the first may be the count
+    lines = list(islice(_meaningful_lines(text), bound("lights") + 2))  # the first may be the count
     expect_rows(len(lines) - 1, "lights", file, "lights")
     declared = None
     if lines and re.fullmatch(r"[0-9]{1,18}", lines[0][1]):
@@ -236,7 +236,7 @@ def _parse_list(text: str, file: str, *, counted: bool) -> tuple[list[str | None
     return names, rows
 
 
-def _kept(text: str) -> Iterator[tuple[int, str]]:
+def _meaningful_lines(text: str) -> Iterator[tuple[int, str]]:
     """Yield lines that are neither empty nor comments, with their numbers from 1."""
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         if line.strip() and not line.strip().startswith(("#", "//")):
@@ -284,7 +284,7 @@ def _name_before(line: str, tokens: list[str], start: int) -> str | None:
 
 def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[Any], list[list[float]]]:
     """Parse lights.csv: light,x,y,z or light,azimuth_deg,polar_deg (azimuth from x to y; polar from the normal)."""
-    rows = cells_of(_kept(text))
+    rows = cells_of(_meaningful_lines(text))
     columns = next(rows, (0, []))[1]
     cartesian, angular = ["light", "x", "y", "z"], ["light", "azimuth_deg", "polar_deg"]
     if sorted(columns) not in (sorted(cartesian), sorted(angular)):

@@ -21,7 +21,7 @@ NAME = re.compile(r"(?=.{1,30}$)\w+(-\w+)*", re.ASCII)
 
 
 @dataclass(frozen=True)
-class Field:
+class FieldRow:
     """One row of the table."""
 
     name: str
@@ -36,7 +36,7 @@ class MosaicCapture:
     """A painting photographed in overlapping fields."""
 
     root: Path  # folder of the table
-    fields: tuple[Field, ...]  # rows of the table
+    fields: tuple[FieldRow, ...]  # rows of the table
     captures: tuple[Any, ...]  # Capture of each field
     warnings: tuple[Problem, ...] = ()  # what was tolerated
     geometry = "mosaic"
@@ -74,7 +74,7 @@ def is_mosaic(root: Path) -> bool:
     return (root / TABLE).is_file()
 
 
-def read_fields(root: Path) -> tuple[Field, ...]:
+def read_fields(root: Path) -> tuple[FieldRow, ...]:
     """Read the table of fields in a folder.
 
     Raises
@@ -92,7 +92,7 @@ def read_fields(root: Path) -> tuple[Field, ...]:
             "fields-columns", TABLE, "columns", expected=f"{', '.join(COLUMNS)}; x_mm and y_mm may miss", found=found
         )
     problems: list[Problem] = []
-    fields, before = [], dict[str | Path, Field]()
+    fields, before = [], dict[str | Path, FieldRow]()
     for number, row in enumerate(rows, start=2):
         cells = dict(zip(columns, row, strict=False))
         fields.append(_field(root, cells, f"{TABLE} row {number}", before, problems))
@@ -106,8 +106,8 @@ def read_fields(root: Path) -> tuple[Field, ...]:
 
 
 def _field(
-    root: Path, cells: dict[str, str], where: str, before: dict[str | Path, Field], problems: list[Problem]
-) -> Field:
+    root: Path, cells: dict[str, str], where: str, before: dict[str | Path, FieldRow], problems: list[Problem]
+) -> FieldRow:
     """Read one row; add its faults to the problems."""
     name, place = cells.get("field", ""), cells.get("path", "").rstrip("/")
     if not NAME.fullmatch(name):
@@ -118,7 +118,7 @@ def _field(
     if any(given) and not (math.isfinite(x) and math.isfinite(y)):
         expected = "millimetres in x_mm and y_mm, or both empty"
         problems.append(error("field-position", where, "position", expected=expected, found=", ".join(given)[:60]))
-    field = Field(name, place, root / place, (x, y) if any(given) else None)
+    field = FieldRow(name, place, root / place, (x, y) if any(given) else None)
     if name_fault(place) or field.path == root or leads_out(field.path, root):
         remedy = f"Put the field into the folder of {TABLE} and name it relative to that"
         problems.append(error("outside-folder", where, "folder of a field", found=repr(place[:200]), remedy=remedy))
@@ -149,7 +149,7 @@ def examine_mosaic(root: Path, examine: Callable) -> tuple[MosaicCapture | None,
         return None, problems
     for field, capture in zip(fields, captures, strict=True):
         problems += _differences(fields[0].place, captures[0], field.place, capture)
-    digests: dict[str, Field] = {}
+    digests: dict[str, FieldRow] = {}
     for field, capture in zip(fields, captures, strict=True):
         twin = digests.setdefault(capture_digest(field.path), field) if capture.sealed else field
         if twin is not field:
@@ -163,7 +163,7 @@ def examine_mosaic(root: Path, examine: Callable) -> tuple[MosaicCapture | None,
     return MosaicCapture(root, fields, tuple(captures), doubts), problems
 
 
-def within(field: Field, problems: list[Problem]) -> list[Problem]:
+def within(field: FieldRow, problems: list[Problem]) -> list[Problem]:
     """Return problems of a field's capture with files relative to the mosaic."""
     return [replace(problem, file=f"{field.place}/{problem.file}") for problem in problems]
 

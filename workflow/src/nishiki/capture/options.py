@@ -17,7 +17,7 @@ y (up), elevation from the object's plane, polar from its normal."""
 NO_PHOTOGRAPHS = "What is converted holds no photographs; leave the option out"
 
 
-def declared(spelling: str, text: str, default: Any = None, **how: Any) -> Any:
+def declare(spelling: str, text: str, default: Any = None, **how: Any) -> Any:
     """Declare a field with its option of the command line; how: further settings of `commands.declare.option`."""
     return field(default=default, metadata={"spelling": spelling, "text": text, "how": how})
 
@@ -32,62 +32,62 @@ class ConvertOptions:
     was made, as `check_capture` does; errors are raised.
     """
 
-    title: str | None = declared("--title TEXT", "title of the object (default: name of the source)")
-    encoding: Literal["linear", "srgb"] | None = declared(
+    title: str | None = declare("--title TEXT", "title of the object (default: name of the source)")
+    encoding: Literal["linear", "srgb"] | None = declare(
         "--encoding linear|srgb", "encoding of the photographs (default: as their files state)"
     )
-    lights_file: Path | None = declared(
+    lights_file: Path | None = declare(
         "--lights FILE",
         "lights file, where it is not found by itself; for a relightable image: the lamps to render it under",
     )
-    lights_kind: str | None = declared(
+    lights_kind: str | None = declare(
         f"--lights-kind {'|'.join(LIGHT_KINDS)}",
         "what the numbers of the lights file are, where it is not clear; elevation is counted from the object's plane, "
         "the polar angle from its normal",
     )
-    lights_order: str | None = declared(
+    lights_order: str | None = declare(
         "--lights-order ORDER",
         "which listed lamp each photograph shows: shift:N (the lamp N places on), reverse, or numbers: 2,1,3",
     )
-    lights_axes: str | None = declared(
+    lights_axes: str | None = declare(
         "--lights-axes X,Y",
         "axes of the lamps in terms of those listed: x,-y where y was counted downwards; --lights-axes=-x,y",
     )
-    width_mm: float | None = declared("--width-mm MM", "width of the whole photographs on the object", type=float)
-    mask: Path | None = declared(
+    width_mm: float | None = declare("--width-mm MM", "width of the whole photographs on the object", type=float)
+    mask: Path | None = declare(
         "--mask FILE",
         "picture that is light where the object is, or has its shape as alpha; turntable: a folder of them",
     )
-    white: Path | None = declared("--white FOLDER", "photographs of the white board, one per lamp, paired by name")
-    dark: Path | None = declared("--dark FOLDER", "dark frames: photographs with the lens closed")
-    ambient: Path | None = declared(
+    white: Path | None = declare("--white FOLDER", "photographs of the white board, one per lamp, paired by name")
+    dark: Path | None = declare("--dark FOLDER", "dark frames: photographs with the lens closed")
+    ambient: Path | None = declare(
         "--ambient FILE", "photograph without lamp, in the light of the room alone, or a folder of such"
     )
-    checks: tuple[str, ...] = declared("--check LAMP", "a lamp kept for evaluation (repeatable)", (), multiple=True)
-    values: Values | None = declared(
+    checks: tuple[str, ...] = declare("--check LAMP", "a lamp kept for evaluation (repeatable)", (), multiple=True)
+    values: Values | None = declare(
         f"--values {'|'.join(get_args(Values))}", "what a table of reflectances holds (default: brdf, in 1/sr)"
     )
-    azimuths: Azimuths | None = declared(
+    azimuths: Azimuths | None = declare(
         "--azimuths cloth|lamp|mirror",
         "what the azimuth of the view in a table is counted from (default: cloth, the weft, as that of the light)",
     )
-    link: bool = declared("--link", "make hard links instead of copies; both folders on one disk", False)
-    fields: bool = declared(
+    link: bool = declare("--link", "make hard links instead of copies; both folders on one disk", False)
+    fields: bool = declare(
         "--fields", "the folders in this one are overlapping fields of one painting under the same lamps", False
     )
-    turntable: bool = declared(
+    turntable: bool = declare(
         "--turntable", "photographs of an object, once round: their cameras are estimated where none are given", False
     )
-    height_mm: float | None = declared(
+    height_mm: float | None = declare(
         "--height-mm MM", "height of the object on the turntable, which gives estimated cameras their scale", type=float
     )
-    turn: Literal["reverse"] | None = declared(
+    turn: Literal["reverse"] | None = declare(
         "--turn reverse", "turntable: the object turned in the direction opposite to the order of the cameras"
     )
-    camera_of: dict[str, str] | None = declared(
+    camera_of: dict[str, str] | None = declare(
         "--camera-of VIEW=CAMERA,...", "turntable: the camera of another view, for views whose own is wrong"
     )
-    region: tuple[int, int, int, int] | None = declared(
+    region: tuple[int, int, int, int] | None = declare(
         "--roi ROW COLUMN ROWS COLUMNS",
         "part of the photographs to use: first row and column, number of rows and columns",
         nargs=4,

@@ -221,7 +221,7 @@ def _split_name(name: str, pattern: str, place: int = -1) -> tuple[str, str]:
     """Split a name into the lamp's and the band's part, the band last or (place 0) first; '' where there is none."""
     found = list(re.finditer(pattern, name, re.IGNORECASE))
     if not found:
-        return _tidied(name), ""
+        return _strip_separators(name), ""
     match = found[place]
     groups = match.groupdict()
     band = re.sub(r"[ _-]", "", match[0]).lower()
@@ -229,10 +229,10 @@ def _split_name(name: str, pattern: str, place: int = -1) -> tuple[str, str]:
         number = int(groups["nm"])
         band = f"{number}nm" if SHORTEST_NM <= number <= LONGEST_NM else ""
     band = LETTERS.get(band, band)
-    return _tidied(name[: match.start()] + "/" + name[match.end() :]), band
+    return _strip_separators(name[: match.start()] + "/" + name[match.end() :]), band
 
 
-def _tidied(name: str) -> str:
+def _strip_separators(name: str) -> str:
     """Strip a name of the separators that a band leaves behind."""
     parts = [part.strip("_-. ") for part in re.split(r"[/\\]", name)]
     return "_".join(part for part in parts if part)
@@ -253,7 +253,7 @@ def _match_lamps(sorted_files: BandFiles, lights: Lights, kind: str) -> tuple[Li
     by_name = {same_name(lamp): lamp for lamp in lamps}
     matched = []
     for light in lights.names:  # called as the lamp, or as one of its files
-        names = [_tidied(light), *(_split_name(light, pattern)[0] for pattern in PATTERNS)]
+        names = [_strip_separators(light), *(_split_name(light, pattern)[0] for pattern in PATTERNS)]
         matched.append(next((by_name[same_name(name)] for name in names if same_name(name) in by_name), None))
     if max(Counter(filter(None, matched)).values(), default=2) == 1:  # a lamp without any file is called missing
         kept = [lamp or light for lamp, light in zip(matched, lights.names, strict=True)]

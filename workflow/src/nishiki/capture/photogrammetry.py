@@ -34,7 +34,7 @@ from nishiki.capture.registered import (
     GL,
     NEAR,
     UNDISTORT,
-    Pictures,
+    PictureIndex,
     RegisteredView,
     Registration,
     aims_at,
@@ -54,7 +54,7 @@ POINTS = 1000  # that are compared with the sizes of the photographs
 OUTSIDE = 1.0  # pixels by which a point may lie outside of its photograph
 
 
-def read_bundler(path: Path, pictures: Pictures) -> Registration:
+def read_bundler(path: Path, pictures: PictureIndex) -> Registration:
     """Read the photographs that have a camera; notes name the others.
 
     Raises CaptureError: cameras-unreadable, cameras-many, photograph-missing; photographs-count where the list is not
@@ -141,7 +141,7 @@ DISTORTIONS = {
 }
 
 
-def read_meshroom(path: Path, pictures: Pictures | None = None) -> Registration:
+def read_meshroom(path: Path, pictures: PictureIndex | None = None) -> Registration:
     """Read the photographs that have a pose.
 
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
@@ -222,7 +222,7 @@ FAR = 1e4  # distance from the world's origin, in extents of the cameras: geocen
 METASHAPE_REMEDY = "Export the cameras again (File, Export, Export Cameras, Agisoft XML)"
 
 
-def read_metashape(path: Path, pictures: Pictures | None = None) -> Registration:
+def read_metashape(path: Path, pictures: PictureIndex | None = None) -> Registration:
     """Read the photographs that are enabled and aligned; notes name the others.
 
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five
@@ -350,7 +350,7 @@ def transforms_file(source: Path) -> Path | None:
     )
 
 
-def read_transforms(path: Path, pictures: Pictures) -> Registration:
+def read_transforms(path: Path, pictures: PictureIndex) -> Registration:
     """Read the photographs of all frames, of all parts of a set in parts.
 
     Raises CaptureError: cameras-unreadable, cameras-many, photograph-missing; cameras-distorted where a lens cannot be

@@ -62,7 +62,7 @@ class Registration:
 
 
 @dataclass(frozen=True)
-class Pictures:
+class PictureIndex:
     """Index of the pictures below a folder, by the paths that other programs give them."""
 
     folder: Path
@@ -214,7 +214,7 @@ def colmap_folder(source: Path) -> Path | None:
     return None
 
 
-def read_colmap(folder: Path, pictures: Pictures | None = None) -> Registration:
+def read_colmap(folder: Path, pictures: PictureIndex | None = None) -> Registration:
     """Read the registered photographs.
 
     Raises CaptureError: cameras-unreadable, cameras-many; cameras-distorted where a lens cannot be said by Brown's five

@@ -33,7 +33,7 @@ LEAST_CLIPPED = 1e-4  # share of a picture's values below which clipping is not 
 
 
 @dataclass(frozen=True)
-class Rendering:
+class RelightableRendering:
     """A relightable image, and the lamps under which pictures are rendered from it."""
 
     file: Path
@@ -82,11 +82,11 @@ def _is_folder_image(folder: Path) -> bool:
     return is_relight_folder(folder) or is_web_rti(folder)
 
 
-def read_relightable(source: Path, file: Path, options: ConvertOptions) -> Rendering:
+def read_relightable(source: Path, file: Path, options: ConvertOptions) -> RelightableRendering:
     """Choose the lamps for rendering the image. CaptureError where its format is not supported."""
     options.refuse(NO_PHOTOGRAPHS, "white", "dark", "ambient", "checks", "lights_order", "lights_axes")
     raise_errors(file_problems(mask=options.mask))
-    return Rendering(file, open_relightable(file), lamps_for(options.lights_file, options))
+    return RelightableRendering(file, open_relightable(file), lamps_for(options.lights_file, options))
 
 
 def open_relightable(path: Path) -> RelightableImage:
@@ -116,7 +116,7 @@ def lamps_for(lights_file: Path | None, options: ConvertOptions | None = None) -
     return lights_from_vectors(names, np.array(vectors), file="rendered lamps")
 
 
-def write_rendered(folder: Path, layout: Rendering, source: Path, options: ConvertOptions) -> list[Problem]:
+def write_rendering(folder: Path, layout: RelightableRendering, source: Path, options: ConvertOptions) -> list[Problem]:
     """Render into a new folder, and include the file itself; return notes for the user."""
     file, lights = layout.file, layout.lights
     image = layout.image
@@ -167,7 +167,7 @@ def _render(image: RelightableImage, light: np.ndarray, path: Path) -> float:
     import cv2
 
     path.parent.mkdir(exist_ok=True)
-    values = image.shown(light)
+    values = image.relight(light)
     codes = np.rint(65535 * np.clip(values, 0, 1)).astype(np.uint16)
     _, coded = cv2.imencode(".png", np.ascontiguousarray(codes[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 1])
     path.write_bytes(coded.tobytes())

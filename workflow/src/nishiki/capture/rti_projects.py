@@ -69,7 +69,7 @@ def read_relight(path: Path, kind: str | None = None, width_mm: float | None = N
     content = _read(path)
     images = content.get("images")
     if isinstance(images, list):
-        return _of_project(content, images, path, kind, width_mm)
+        return _read_project_lights(content, images, path, kind, width_mm)
     if isinstance(content.get("lights"), list):
         numbers = content["lights"]
         expect_rows(len(numbers) // 3, "lights", path.name, "lights")
@@ -78,12 +78,14 @@ def read_relight(path: Path, kind: str | None = None, width_mm: float | None = N
         rows = [_vector(numbers[i : i + 3], path.name) for i in range(0, len(numbers), 3)]
         lights = lights_from_vectors([None] * len(rows), np.array(rows, float).reshape(-1, 3), file=path.name)
         return StatedLights(lights, pitch_mm=_positive(content, "pixelSizeInMM"))
-    lamps = _of_dome(content, path, kind, width_mm)
+    lamps = _read_dome_lamps(content, path, kind, width_mm)
     count = len(lamps.vectors)
     return lamps.state([None] * count, list(range(count)), _strengths(content, count, path.name), path.name)
 
 
-def _of_project(content: dict, images: list, path: Path, kind: str | None, width_mm: float | None) -> StatedLights:
+def _read_project_lights(
+    content: dict, images: list, path: Path, kind: str | None, width_mm: float | None
+) -> StatedLights:
     """Read photographs that are neither skipped nor hidden and have a lamp, with these lamps."""
     expect_rows(len(images), "lights", path.name, "lights")
     names: list[str] = []
@@ -101,7 +103,7 @@ def _of_project(content: dict, images: list, path: Path, kind: str | None, width
     if not _vectors(dome.get("directions"), path.name).size and not _vectors(dome.get("positions3d"), path.name).size:
         remedy = "Find the lights in Relight and save it again, or give the directions with --lights FILE"
         refuse("lights-unreadable", path.name, "a project without directions of its lamps", remedy=remedy)
-    lamps = _of_dome(dome, path, kind, width_mm)
+    lamps = _read_dome_lamps(dome, path, kind, width_mm)
     strengths = _strengths(dome, len(lamps.vectors), path.name)
     stated = taken if len(lamps.vectors) == len(taken) else list(range(len(images)))
     if len(lamps.vectors) != len(stated):
@@ -144,7 +146,7 @@ class _DomeLamps(NamedTuple):
         return replace(stated, open_kind=far is not None, scaled=far is not None)
 
 
-def _of_dome(dome: dict, path: Path, kind: str | None, width_mm: float | None) -> _DomeLamps:
+def _read_dome_lamps(dome: dict, path: Path, kind: str | None, width_mm: float | None) -> _DomeLamps:
     """Read positions where the file or the user sets them and the width is known, else directions.
 
     A dome that states positions or a diameter, but no width, or that near lamps are not wanted, leaves it open.

@@ -21,7 +21,7 @@ from nishiki.formats.images import read_coarse, read_header
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
 from nishiki.formats.text_tables import number_of
 from nishiki.photometric.consistency import SURE, NearLamps, measure_width, split_course
-from nishiki.photometric.lambert_fit import fit_lambert, none_where_undetermined, spread_pixels
+from nishiki.photometric.lambert_fit import fit_lambert, return_none_if_undetermined, spread_pixels
 
 MOST_PHOTOGRAPHS = 32  # read, spread over the lamps
 FEWEST_PHOTOGRAPHS = 5  # of a folder whose lamps are judged by them
@@ -62,7 +62,7 @@ def sample_photographs(photographs: Sequence[Path], encoding: str | None) -> Pho
     return PhotoSamples(values, chosen)
 
 
-@none_where_undetermined
+@return_none_if_undetermined
 def misfit_of(samples: PhotoSamples, directions: np.ndarray) -> float | None:
     """Compute the median misfit relative to the albedo under lamps in these directions (lights, 3)."""
     places, patches = spread_pixels(samples.values)
@@ -92,7 +92,7 @@ def judge(samples: PhotoSamples, vectors: np.ndarray, columns: int, width_mm: fl
     found, distance = measure_width(samples.values, vectors), float(np.median(lengths))
     if found is None:
         return Verdict(False, False)
-    if not found.shown:
+    if not found.is_certain:
         return Verdict(False, found.width + SURE * found.sigma < TRIED_WIDTH * distance)
     if width_mm:
         exact = width_mm / found.width
@@ -125,7 +125,7 @@ def choose_strengths(
     return min(left, key=lambda name: left[name]), left
 
 
-@none_where_undetermined
+@return_none_if_undetermined
 def measure_gains(samples: PhotoSamples, vectors: np.ndarray, *, near: bool) -> np.ndarray | None:
     """Measure the strengths of the lamps at positions or in directions (photographs, 3)."""
     if near:
@@ -182,7 +182,7 @@ def read_lights_file(file: Path, kind: str | None, present: Collection[str]) -> 
         numbers = numbers[:, -3:]
     rival, rival_kind = None, ""
     if kind is None and _are_angles(numbers):
-        raise CaptureError(_angles_refused(file, numbers))
+        raise CaptureError(_refuse_angles(file, numbers))
     if kind in ANGLES:
         swap = {"polar": "elevation", "elevation": "polar"}
         rival_kind = "_".join(swap.get(word, word) for word in str(kind).split("_"))
@@ -347,7 +347,7 @@ def _azimuth_at(numbers: np.ndarray, column: int) -> bool:
     return bool(within and np.ptp(numbers[:, column]) > full / 3)
 
 
-def _angles_refused(file: Path, numbers: np.ndarray) -> Problem:
+def _refuse_angles(file: Path, numbers: np.ndarray) -> Problem:
     first = _azimuth_at(numbers, 0)
     kinds = [kind for kind in ANGLES if kind.startswith("azimuth") == first]
     unit, place = "degrees" if _full_turn(numbers) == 360 else "radians", "first" if first else "second"

@@ -13,7 +13,7 @@ import numpy as np
 import yaml
 
 from nishiki.capture.frames import EXPOSURE_COLUMNS, LIT_ROLES
-from nishiki.formats.coding import LUMA_WEIGHTS, RGB, coding_used
+from nishiki.formats.coding import LUMA_WEIGHTS, RGB, choose_coding
 from nishiki.formats.images import read_codes, read_exif, read_header
 from nishiki.formats.masks import examine_mask
 from nishiki.formats.picture_files import Exif, ImageHeader, several_layers
@@ -68,11 +68,11 @@ def choose_encoding(
     if stated is not None and (given is None or stated.developed):
         if stated.linear and not stated.developed and stated.to_srgb is None:
             return "linear", []
-        if not stated.differs_from(coding_used(header.kind, None, "file")):
+        if not stated.differs_from(choose_coding(header.kind, None, "file")):
             return "file", []
         what, found = "photographs are decoded by the coding that they state", stated.name
         return "file", [warning("coding-stated", source, what, found=found)]
-    if given is not None and stated is not None and header.coding_used(given).curve.differs_from(stated.curve):
+    if given is not None and stated is not None and header.choose_coding(given).curve.differs_from(stated.curve):
         what = "the photographs state another coding than the one that is given"
         return given, [warning("encoding-overruled", source, what, expected=given, found=stated.name)]
     if given is not None or header.kind == "jpeg":

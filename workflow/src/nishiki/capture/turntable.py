@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.capture.frames import TABLE, Frame, Photographed, exposure_problems, inside, lamp_problems, state_problems
+from nishiki.capture.frames import TABLE, BaseCapture, Frame, exposure_problems, inside, lamp_problems, state_problems
 from nishiki.capture.lights import Lights, read_lights
 from nishiki.capture.schema import Positive, Session
 from nishiki.capture.tables import (
@@ -55,7 +55,7 @@ class Board(Closed):
 
     @field_validator("dictionary")
     @classmethod
-    def _known(cls, name: str) -> str:
+    def _check_name(cls, name: str) -> str:
         if name not in DICTIONARIES:
             raise ValueError(f"one of {', '.join(DICTIONARIES)}")
         return name
@@ -80,7 +80,7 @@ class TurntableLights(Closed):
     file: str | None = None
 
     @model_validator(mode="after")
-    def _file_where_needed(self) -> "TurntableLights":
+    def _expect_file(self) -> "TurntableLights":
         if self.kind == "camera" and self.file:
             raise ValueError("lights of kind camera have no file: the lamp stands beside the camera")
         if self.kind != "camera" and not self.file:
@@ -333,7 +333,7 @@ def _board_problems(frames: tuple[Frame, ...], views: tuple[str, ...], settings:
 
 
 @dataclass(frozen=True)
-class TurntableCapture(Photographed):
+class TurntableCapture(BaseCapture):
     """An object photographed from many sides.
 
     views, light_names, states: of the sample frames in the order in which they first appear, ('',) where the column is
@@ -377,7 +377,7 @@ class TurntableCapture(Photographed):
 
 
 def examine_turntable(
-    read: Photographed, complete: bool, attempt: Callable
+    read: BaseCapture, complete: bool, attempt: Callable
 ) -> tuple[TurntableCapture | None, list[Problem]]:
     """Read the capture (None where its tables cannot be read) and list how its tables contradict each other.
 
@@ -387,11 +387,11 @@ def examine_turntable(
     places = {(key, file): attempt(lambda f=file, k=key: inside(payload, f, f"capture.yaml {k}"))
               for key, file in block.files}  # fmt: skip
 
-    def named(key: str) -> Path | None:
+    def resolve(key: str) -> Path | None:
         return places.get((f"turntable.{key}", getattr(block, key)))
 
     def from_file(key: str, reader: Callable):
-        return attempt(lambda: reader(named(key), getattr(block, key))) if named(key) else None
+        return attempt(lambda: reader(resolve(key), getattr(block, key))) if resolve(key) else None
 
     for (key, file), path in places.items():
         if path is not None and key in ("turntable.mesh", "turntable.scans"):
@@ -403,7 +403,7 @@ def examine_turntable(
     table, intrinsics = from_file("cameras", read_cameras), from_file("intrinsics", read_intrinsics)
     if not complete:
         return None, []
-    frames = _lamps_named(read.frames, lights)
+    frames = _name_lamps(read.frames, lights)
     samples = [f for f in frames if f.role == "sample"]
     views = tuple(dict.fromkeys(f.view for f in samples))
     points = from_file("correspondences", lambda path, name: read_points(path, name, views))
@@ -425,22 +425,22 @@ def examine_turntable(
         distortions=table.distortions if table else {},
         points=points,
         intrinsics=intrinsics,
-        mesh=named("mesh"),
+        mesh=resolve("mesh"),
         scans=tuple(path for (key, _), path in places.items() if key == "turntable.scans" and path),
-        calibration=named("calibration"),
+        calibration=resolve("calibration"),
         warnings=tuple(p for p in (*problems, *(lights.warnings if lights else ())) if p.severity == "warning"),
     )
     return capture, problems + list(lights.warnings if lights else ())
 
 
-def _lamps_named(frames: tuple[Frame, ...], lights: Lights | None) -> tuple[Frame, ...]:
+def _name_lamps(frames: tuple[Frame, ...], lights: Lights | None) -> tuple[Frame, ...]:
     """Rename the frames' lamps as in the lights file; a single lamp needs no name."""
     if lights is None:
         return frames
     alone = lights.names[0] if len(lights.names) == 1 else ""
 
-    def called(frame: Frame) -> str:
+    def lamp_name(frame: Frame) -> str:
         place = lights.find(frame.light) if frame.light else None
         return lights.names[place] if place is not None else frame.light or alone
 
-    return tuple(replace(f, light=called(f)) if f.role in ("sample", "white") else f for f in frames)
+    return tuple(replace(f, light=lamp_name(f)) if f.role in ("sample", "white") else f for f in frames)

@@ -11,7 +11,7 @@ import numpy as np
 from nishiki.capture.frames import FEWEST_ANGLES, SourcePhotographs, parse_state, state_warnings
 from nishiki.capture.layouts import natural_key, natural_parts, photographs_in, source_problems
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.registered import Pictures, Registration, aim_problems, reading_cameras
+from nishiki.capture.registered import PictureIndex, Registration, aim_problems, reading_cameras
 from nishiki.capture.seal import sha256_of
 from nishiki.capture.tables import camera_centre, camera_problems
 from nishiki.errors import require
@@ -161,7 +161,7 @@ def _matrices_in(path: Path) -> np.ndarray | None:
     return np.array(cells, np.float64).reshape(-1, 3, 4)
 
 
-def read_numbered(source: Path, stored: tuple[Path, np.ndarray], options: ConvertOptions) -> RoundLayout:
+def read_numbered_matrices(source: Path, stored: tuple[Path, np.ndarray], options: ConvertOptions) -> RoundLayout:
     """Give each photograph, in natural order, a matrix; a last one that repeats the first is omitted."""
     (path, matrices), photographs = stored, photographs_in(source)
     notes = []
@@ -230,7 +230,7 @@ def read_middlebury(source: Path, path: Path, options: ConvertOptions) -> RoundL
     return _turntable("turntable with a list of cameras", photographs, np.array(matrices), path.name, notes)
 
 
-def place_registered(source: Path, program: str, file: str, found: Registration, pictures: Pictures) -> RoundLayout:
+def place_registered(source: Path, program: str, file: str, found: Registration, pictures: PictureIndex) -> RoundLayout:
     """Pair photographs with the cameras of another program, in the natural order of their names."""
     placed = zip(pictures.paths([view.name for view in found.views], file), found.views, strict=True)
     ordered = sorted(placed, key=lambda each: natural_parts(str(each[0])))

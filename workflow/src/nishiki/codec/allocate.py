@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from nishiki.codec.design import Design, Extent
-from nishiki.codec.entropy import Coded, Model, encode, pack, train
+from nishiki.codec.entropy import CodedBlock, Model, encode, pack, train
 from nishiki.codec.parameters import TileMaps, TileSurface
 from nishiki.codec.tile_code import (
     CodedScene,
@@ -50,7 +50,7 @@ APART = 0.1  # of logarithms of steps
 FARTHEST = 2.0  # move of the logarithm of the step
 
 
-class Source(Protocol):
+class TileSource(Protocol):
     """A source of tiles; called from several threads."""
 
     tiles: int
@@ -87,7 +87,7 @@ class Sparse:
 
 
 @dataclass(frozen=True)
-class Point:
+class RatePoint:
     """One pass: step, bytes of tiles and start states, psnr_db over object pixels, kept coefficients."""
 
     step: float
@@ -113,7 +113,7 @@ class EncodedObject:
     error: float
     model_error: float
     kept: int
-    curve: list[Point]
+    curve: list[RatePoint]
 
     @property
     def bytes(self) -> int:
@@ -164,7 +164,9 @@ def over(work: Callable, items: Sequence, threads: int, progress: Callable | Non
             progress(done + 1, len(items), what)
 
 
-def pilot(source: Source, scene: CodedScene, design: Design, effort: Effort, *, threads: int, progress=None) -> Pilot:
+def pilot(
+    source: TileSource, scene: CodedScene, design: Design, effort: Effort, *, threads: int, progress=None
+) -> Pilot:
     """Refine the parameters of every tile; colours, means and typical weights from all of them."""
 
     def work(tile: int):
@@ -218,7 +220,7 @@ def _usual(weight: np.ndarray) -> float:
 
 
 def one_pass(
-    source: Source, scene: CodedScene, piloted: Pilot, effort: Effort, *, threads: int, progress=None,
+    source: TileSource, scene: CodedScene, piloted: Pilot, effort: Effort, *, threads: int, progress=None,
     tiles: Sequence[int] | None = None, earlier: EncodedObject | None = None,
 ) -> EncodedObject:  # fmt: skip
     """Solve, quantise and code every tile, or only `tiles`, at the step of the pilot's design (`Pilot.at_step`).
@@ -237,7 +239,7 @@ def one_pass(
         coded = encode_tile(seen, piloted.refined[tile], scene, design, effort, piloted.typical, start)
         empty = np.zeros(0, np.int32)
         light = replace(coded, parameters=empty, residual=empty)
-        return light, coded.kept, (Sparse.of(coded.parameters), Sparse.of(coded.residual))
+        return light, coded.nonzero, (Sparse.of(coded.parameters), Sparse.of(coded.residual))
 
     results = list(over(work, range(len(tiles)), threads, progress, f"tiles at step {design.step:.4g}"))
     coded: list[CodedTile] = [r[0] for r in results if r is not None]
@@ -255,7 +257,7 @@ def code_streams(
     """Code all tiles after two rounds of training; tiles of zeros become b""."""
 
     def code(model: Model, part: int):
-        def work(tile: int) -> Coded | None:
+        def work(tile: int) -> CodedBlock | None:
             held = blocks[tile]
             if held is None or not len(held[part].places):
                 return None
@@ -266,7 +268,7 @@ def code_streams(
 
     models, coded = [], []
     for part in (0, 1):
-        model = Model.untrained()
+        model = Model.initial()
         for _ in range(2):
             model = train([c for c in code(model, part) if c is not None])
         models.append(model)
@@ -282,16 +284,16 @@ def psnr(error: float, samples: int) -> float:
     return min(200.0, float(-10 * np.log10(error / samples)))
 
 
-def point_of(encoded: EncodedObject, share: float = 1.0) -> Point:
+def point_of(encoded: EncodedObject, share: float = 1.0) -> RatePoint:
     """Return the result of a pass, or its estimate for the whole object if it covered a share of the tiles."""
     quality = psnr(encoded.error, encoded.pixels * encoded.design.channels)
     size = encoded.bytes + round(encoded.bytes_of_tiles * (1 / share - 1))
-    return Point(encoded.design.step, size, quality, round(encoded.kept / share))
+    return RatePoint(encoded.design.step, size, quality, round(encoded.kept / share))
 
 
 def find_step(
     run: Callable[[float, EncodedObject | None], EncodedObject],
-    value: Callable[[Point], float],
+    value: Callable[[RatePoint], float],
     goal: float,
     *,
     start: float,

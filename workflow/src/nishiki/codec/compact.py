@@ -29,7 +29,7 @@ class CompactMesh:
     order: np.ndarray  # (n,) int64: number of each decoded triangle in the mesh that was coded; step of the grid
     step: float
 
-    def restored(self, mesh: Mesh) -> Mesh:
+    def restore(self, mesh: Mesh) -> Mesh:
         """Return the decoded positions in the order of `mesh`, with normals computed from them."""
         return Mesh.of(np.round(mesh.vertices / self.step) * self.step, mesh.triangles)
 
@@ -157,7 +157,7 @@ def lamp_bytes(lighting: dict) -> int:
 
 
 @dataclass(frozen=True)
-class Cost:
+class MeshCoding:
     """Bytes by part; mesh: as it was coded; vertex_shift_px: the largest shift of a vertex by that coding."""
 
     parts: dict[str, int]
@@ -170,7 +170,7 @@ class Cost:
         return sum(self.parts.values())
 
 
-def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residual: dict[str, int]) -> Cost:
+def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residual: dict[str, int]) -> MeshCoding:
     """Count the bytes of all parts of a coded object.
 
     chart (f,): of the atlas; lighting: as plain data; residual: its bytes by part, parameters included (a "total" among
@@ -178,7 +178,7 @@ def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residu
     """
     coded = encode_mesh(mesh, step=mesh_step(mesh, cameras))
     used = np.unique(mesh.triangles)
-    moved = shift(mesh.vertices[used], coded.restored(mesh).vertices[used], cameras)
+    moved = shift(mesh.vertices[used], coded.restore(mesh).vertices[used], cameras)
     parts = {f"residual_{name}": int(size) for name, size in residual.items() if name != "total"}
     parts |= {
         "mesh": len(coded.data),
@@ -186,4 +186,4 @@ def cost_of(mesh: Mesh, chart: np.ndarray, cameras: list, lighting: dict, residu
         "cameras": camera_bytes(cameras),
         "lamps": lamp_bytes(lighting),
     }
-    return Cost(parts, coded, moved)
+    return MeshCoding(parts, coded, moved)

@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from nishiki.codec.transform import Block, Plane, analysis_matrix, cosine_matrix, levels_of, plane_transform
+from nishiki.codec.transform import Block, PlaneTransform, analysis_matrix, cosine_matrix, levels_of, plane_transform
 from nishiki.errors import UserError
 from nishiki.formats.stored import PlainFields
 
@@ -151,11 +151,11 @@ class Design(PlainFields):
             raise UserError(f"residual: header with unexpected or missing entries {wrong}; run the stage again")
         return super().from_dict(values)
 
-    def plane(self, extent: Extent) -> Plane:
+    def plane(self, extent: Extent) -> PlaneTransform:
         """Return the transform of the residual's planes."""
         return plane_transform(self.wavelet, extent.rows, extent.columns, self.levels, mirrored=self.mirrored)
 
-    def parameter_plane(self, extent: Extent) -> Plane:
+    def parameter_plane(self, extent: Extent) -> PlaneTransform:
         """Return the transform of the parameters' planes."""
         levels, mirrored = self.parameter_levels, self.parameter_mirrored
         return plane_transform(self.parameter_wavelet, extent.rows, extent.columns, levels, mirrored=mirrored)

@@ -36,7 +36,7 @@ class Model:
     rounded: tuple = ()  # what `pack` stores
 
     @classmethod
-    def untrained(cls) -> "Model":
+    def initial(cls) -> "Model":
         """Return the initial assumption: ones are rare."""
         chance = np.full(CONTEXTS, 1 << 20, np.int64)
         weights = np.zeros((GROUPS, INPUTS), np.int64)
@@ -50,7 +50,7 @@ class Model:
 
 
 @dataclass(frozen=True)
-class Coded:
+class CodedBlock:
     """A coded block."""
 
     data: bytes
@@ -74,22 +74,22 @@ def bands_of(rows: int, columns: int, levels: int) -> np.ndarray:
     return np.array(out, np.int64)
 
 
-def encode(values: np.ndarray, levels: int, model: Model) -> Coded:
+def encode(values: np.ndarray, levels: int, model: Model) -> CodedBlock:
     """Encode integers (channels, frequencies, rows, columns) int32, magnitudes below 2^31."""
     values = np.ascontiguousarray(values, np.int32)
-    coded, length = _encoded(values, levels, model, 4 * values.size + 4096)
+    coded, length = _encode_values(values, levels, model, 4 * values.size + 4096)
     if length > 4 * values.size + 4096:  # large magnitudes everywhere; the coder says what they take
-        coded, _ = _encoded(values, levels, model, length)
+        coded, _ = _encode_values(values, levels, model, length)
     return coded
 
 
-def _encoded(values: np.ndarray, levels: int, model: Model, size: int) -> tuple[Coded, int]:
+def _encode_values(values: np.ndarray, levels: int, model: Model, size: int) -> tuple[CodedBlock, int]:
     """Encode into a buffer of `size` bytes; also return the bytes it takes: the coding is void where these are more."""
     bands = bands_of(values.shape[-2], values.shape[-1], levels)
     ends = np.zeros(len(bands), np.int64)
     coder = model.coder(np.empty(size, np.uint8), decoding=False)
     length = code_block(values, bands, len(bands), coder, ends)
-    return Coded(coder.data[:length].tobytes(), np.minimum(ends, length), coder.tally, coder.weights), length
+    return CodedBlock(coder.data[:length].tobytes(), np.minimum(ends, length), coder.tally, coder.weights), length
 
 
 def decode(data: bytes, shape: tuple[int, int, int, int], levels: int, model: Model, *, drop: int = 0) -> np.ndarray:
@@ -276,13 +276,13 @@ WEIGHT_UNIT = 4096  # by which stored weights of 8 bits are coarser than those i
 RARE = 80  # contexts used less often in the whole object are left untrained
 
 
-def train(coded: list[Coded], *, share: float = 0.25, limit: int = 24) -> Model:
+def train(coded: list[CodedBlock], *, share: float = 0.25, limit: int = 24) -> Model:
     """Estimate the common start state after a round of coding: frequencies of each context, mean mixer weights.
 
     A context starts as sure as if it had been seen `share` of its mean uses a tile, at most `limit` times. The result
     goes through `pack`'s rounding, so that encoder and decoder start alike.
     """
-    model = Model.untrained()
+    model = Model.initial()
     if not coded:
         return model
     tally = sum(part.tally for part in coded)
@@ -299,7 +299,7 @@ def train(coded: list[Coded], *, share: float = 0.25, limit: int = 24) -> Model:
 def _model_of(logits: np.ndarray, grades: np.ndarray, weights: np.ndarray) -> Model:
     known = logits != 127
     chance = np.round(2**22 / (1 + np.exp(-logits.astype(np.float64) / LOGIT_STEPS)))
-    chance = np.where(known, np.clip(chance, 64, 2**22 - 64), Model.untrained().chance).astype(np.int64)
+    chance = np.where(known, np.clip(chance, 64, 2**22 - 64), Model.initial().chance).astype(np.int64)
     seen = np.where(known, CONFIDENCE[grades], 0)
     return Model(chance, seen, weights.astype(np.int64) * WEIGHT_UNIT, (logits, grades, weights))
 
@@ -314,7 +314,7 @@ def pack(model: Model) -> bytes:
 def unpack(data: bytes) -> Model:
     """Invert `pack`. UserError where the bytes are not those of a model of this version."""
     if not data:
-        return Model.untrained()
+        return Model.initial()
     try:
         raw = zlib.decompress(data)
     except zlib.error as error:

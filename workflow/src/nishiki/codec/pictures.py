@@ -13,7 +13,7 @@ import numpy as np
 
 from nishiki.codec.allocate import EncodedObject
 from nishiki.codec.parameters import TileMaps, TileSurface
-from nishiki.codec.store import Coded, inflated
+from nishiki.codec.store import CodedReader, inflate
 from nishiki.codec.tile_code import Pixels
 
 SIDE = 512  # pixels
@@ -80,13 +80,13 @@ def pack_strayed(strayed: Sequence[np.ndarray]) -> list[bytes]:
     ]
 
 
-def with_strayed(pictures: EncodedObject, strayed: Sequence[bytes]) -> EncodedObject:
+def attach_strayed(pictures: EncodedObject, strayed: Sequence[bytes]) -> EncodedObject:
     """Store deflated parts in the place of the parameters, which pictures have not."""
     return replace(pictures, streams=[(part, own[1]) for part, own in zip(strayed, pictures.streams, strict=True)])
 
 
 def decode_picture(
-    pictures: Coded, view: int, light: int, shape: tuple[int, int]
+    pictures: CodedReader, view: int, light: int, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Decode a picture (rows, columns, channels) float32 in the capture's encoding; None of a view that is not coded.
 
@@ -103,6 +103,6 @@ def decode_picture(
             out[area] = whole[: out[area].shape[0], : out[area].shape[1]]
         if packed := pictures.stream(tile, 0):
             part = strayed[area]
-            bits = np.frombuffer(inflated(packed, part.size // 8 + 1), np.uint8)
+            bits = np.frombuffer(inflate(packed, part.size // 8 + 1), np.uint8)
             part[:] = np.unpackbits(bits, count=part.size).reshape(part.shape)
     return (out, strayed) if any(each.length for each in pictures.extents[first : first + len(areas)]) else None

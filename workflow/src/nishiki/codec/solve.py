@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from nishiki.codec.transform import Block, Plane, squared_lengths
+from nishiki.codec.transform import Block, PlaneTransform, squared_lengths
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class Pursuit:
     ridge: float = 0.001  # curvature added to all, which keeps coefficients of barely visible texels small
 
 
-def transfers(plane: Plane) -> np.ndarray:
+def transfers(plane: PlaneTransform) -> np.ndarray:
     """Compute the mean share (rows, columns), 1/3..1, of a coefficient's energy that bilinear look-up passes, by band.
 
     A look-up at a fraction f passes |1 - f + f exp(i w)|^2 of a frequency w; its mean over f is 2/3 + cos(w) / 3, here

@@ -100,8 +100,8 @@ def unpack_head(data: bytes) -> Contents:
         raise UserError(f"residual: header of {end} bytes expected, found {at}; run the stage again")
     try:
         tiles, streams = sizes[4:6]
-        design = Design.from_dict(json.loads(inflated(parts[0], MOST_DESIGN)))
-        raw = inflated(parts[3], tiles * (12 + 4 * streams))
+        design = Design.from_dict(json.loads(inflate(parts[0], MOST_DESIGN)))
+        raw = inflate(parts[3], tiles * (12 + 4 * streams))
     except (zlib.error, ValueError, KeyError, TypeError, RecursionError) as error:
         raise UserError(f"residual: header damaged ({error}); run the stage again") from None
     numbers = _joined_planes(raw[: 12 * tiles], np.uint16, (tiles, 6))
@@ -110,7 +110,7 @@ def unpack_head(data: bytes) -> Contents:
     return Contents(design, (unpack(parts[1]), unpack(parts[2])), extents, lengths, end)
 
 
-def inflated(data: bytes, most: int) -> bytes:
+def inflate(data: bytes, most: int) -> bytes:
     """Inflate to at most `most` bytes: a damaged or hostile file could expand without limit."""
     stream = zlib.decompressobj()
     inflated = stream.decompress(data, max(most, 1))
@@ -197,7 +197,7 @@ class CodedTexels:
         return self.values.nbytes + self.observation.nbytes + self.texel.nbytes
 
 
-class Coded:
+class CodedReader:
     """A coded object in an array, for reading; safe from several threads.
 
     tiles; size (T); observations (M), channels; design: as coded; extents: of the tiles.
@@ -225,7 +225,7 @@ class Coded:
         shape, levels = design.residual_shape(extent), design.plane(extent).levels
         return decode_residual(decode(stream, shape, levels, self.models[1], drop=level), design, extent)
 
-    def stored(self, tile: int) -> tuple[int, ...]:
+    def stream_bytes(self, tile: int) -> tuple[int, ...]:
         """Count the bytes of each stream of a tile: parameters, residual."""
         return tuple(int(n) for n in self._contents.lengths[tile])
 
@@ -253,7 +253,7 @@ class Coded:
         return data
 
 
-class Residual(Coded):
+class Residual(CodedReader):
     """The residual and the reflection parameters of an artifact, for reading; safe from several threads.
 
     bytes: by part; report: of `residual.json`; pictures: the views that are coded as such, None where none is.
@@ -273,7 +273,7 @@ class Residual(Coded):
             raise UserError(f"{folder}: zarr.json of {STORE} or {PICTURES} is damaged; run the stage residual again")
         super().__init__(folder / STORE)
         self.bytes = dict(self.report["bytes"])
-        self.pictures = Coded(folder / PICTURES) if (folder / PICTURES).is_dir() else None
+        self.pictures = CodedReader(folder / PICTURES) if (folder / PICTURES).is_dir() else None
 
     def parameters(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Decode kd, ks (T, T, C), sigma (T, T) float32, as the encoder's own prediction used them."""

@@ -82,7 +82,7 @@ class CodedTile:
     model_error: float
 
     @property
-    def kept(self) -> int:
+    def nonzero(self) -> int:
         """Residual coefficients that are not zero."""
         return int(np.count_nonzero(self.residual))
 

@@ -101,7 +101,7 @@ def cosine_matrix(length: int) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Axis:
+class AxisTransform:
     """The transform of planes along one axis.
 
     per level, finest first, analysis, synthesis and adjoint synthesis by rows; smooth, detail: (length, length >> level
@@ -117,11 +117,11 @@ class Axis:
 
 
 @dataclass(frozen=True)
-class Plane:
+class PlaneTransform:
     """The transform of planes of (rows, columns) texels."""
 
-    down: Axis
-    across: Axis
+    down: AxisTransform
+    across: AxisTransform
     levels: int
     gains: np.ndarray  # (rows, columns) float64: lengths of the basis planes before they are brought to 1
     orthonormal: bool
@@ -138,19 +138,19 @@ class Plane:
 
 
 @lru_cache(maxsize=64)
-def plane_transform(wavelet: str, rows: int, columns: int, levels: int, *, mirrored: bool = False) -> Plane:
+def plane_transform(wavelet: str, rows: int, columns: int, levels: int, *, mirrored: bool = False) -> PlaneTransform:
     """Plan the transform of planes of some size, with fewer levels where a side cannot be halved so often."""
     levels = min(levels_of(rows, levels), levels_of(columns, levels))
     orthonormal = family(wavelet).orthogonal and not mirrored
     down, across = (_axis(wavelet, n, levels, orthonormal=orthonormal, mirrored=mirrored) for n in (rows, columns))
-    plane = Plane(down, across, levels, np.ones((rows, columns)), orthonormal)
+    plane = PlaneTransform(down, across, levels, np.ones((rows, columns)), orthonormal)
     if orthonormal:
         return plane
     return replace(plane, gains=np.sqrt(squared_lengths(plane, np.ones((1, rows, columns)))[0]))
 
 
 @lru_cache(maxsize=64)
-def _axis(wavelet: str, length: int, levels: int, *, orthonormal: bool, mirrored: bool) -> Axis:
+def _axis(wavelet: str, length: int, levels: int, *, orthonormal: bool, mirrored: bool) -> AxisTransform:
     analysis, synthesis, adjoint, smooth, detail, so_far = [], [], [], [], [], np.eye(length)
     for level in range(levels):
         matrix = level_matrix(wavelet, length >> level, mirrored=mirrored)
@@ -163,10 +163,10 @@ def _axis(wavelet: str, length: int, levels: int, *, orthonormal: bool, mirrored
         detail.append(so_far @ inverse[:, half:])
         so_far = so_far @ inverse[:, :half]
         smooth.append(so_far)
-    return Axis(length, *(tuple(part) for part in (analysis, synthesis, adjoint, smooth, detail)))
+    return AxisTransform(length, *(tuple(part) for part in (analysis, synthesis, adjoint, smooth, detail)))
 
 
-def squared_lengths(plane: Plane, weight: np.ndarray) -> np.ndarray:
+def squared_lengths(plane: PlaneTransform, weight: np.ndarray) -> np.ndarray:
     """Sum weight * s**2 for every basis plane s before normalising: (n, rows, columns) float64.
 
     With the density of pixels as weight this estimates the curvature of the error in each coefficient.
@@ -184,7 +184,7 @@ def squared_lengths(plane: Plane, weight: np.ndarray) -> np.ndarray:
     return out
 
 
-def _largest_gain(plane: Plane) -> float:
+def _largest_gain(plane: PlaneTransform) -> float:
     """Estimate the largest gain by power iteration on synthesis and adjoint, plus one per cent, from a fixed vector."""
     transform = Block(plane, np.eye(1), np.eye(1))
     vector = np.random.default_rng(0).standard_normal((1, 1, 1, *plane.shape))
@@ -301,7 +301,7 @@ def apply_axis(matrix, source, target, needed):
 EVERYWHERE = np.empty((0, 0, 0), np.uint8)
 
 
-def _levels(planes: np.ndarray, plane: Plane, kind: str, chosen: np.ndarray = EVERYWHERE) -> None:
+def _levels(planes: np.ndarray, plane: PlaneTransform, kind: str, chosen: np.ndarray = EVERYWHERE) -> None:
     """Transform all levels in place; kind: analysis, adjoint go from the finest level, synthesis from the coarsest."""
     side = max(plane.shape)
     scratch = np.empty((2, side, side), planes.dtype)
@@ -334,7 +334,7 @@ class Block:
     It holds orthonormal matrices of the light and view axes (rows are basis vectors) and the transform of the planes.
     """
 
-    plane: Plane
+    plane: PlaneTransform
     views: np.ndarray
     lights: np.ndarray
 

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.colour.sampling import WAVELENGTHS_NM, checked_spectra, normalised
+from nishiki.colour.sampling import WAVELENGTHS_NM, checked_spectra, normalise_curves
 from nishiki.errors import UserError
 from nishiki.formats.coding import BRADFORD, BT709_XY, D65
 from nishiki.threads import strips
@@ -78,7 +78,7 @@ def xyz_matrix(illuminant: np.ndarray, basis: np.ndarray) -> np.ndarray:
     themselves use `xyz_from_spectra`. Source: Tominaga and Tanaka (2004), eq. 19, exact because the diffuse term is
     linear in sigma.
     """
-    lamp = normalised(checked_spectra(illuminant, "illuminant")[0])
+    lamp = normalise_curves(checked_spectra(illuminant, "illuminant")[0])
     weights = cie_1931_cmfs() * lamp
     total = weights[1].sum()
     if not total > 0:

@@ -19,8 +19,8 @@ from nishiki.colour.fitting import (
     LINEAR_GAMUT_EXCESS,
     BasesRule,
     Parts,
-    Problem,
     ResponseSpace,
+    SpectralProblem,
     correction_table,
     distances,
     fit_paper,
@@ -171,7 +171,7 @@ def fit_estimator(
             raise UserError(f"spectra: {name} expected a number of at least {least:g}, found {value!r}; correct it")
     weights = channel_weights(illuminant, sensitivities)
     responses = spectra @ weights.T
-    problem = Problem(spectra, weights, responses, response_space(responses, noise=noise), noise)
+    problem = SpectralProblem(spectra, weights, responses, response_space(responses, noise=noise), noise)
     if method == "paper":
         if callable(bases):
             raise UserError("spectra: the method paper takes bases as a number, found a rule; give the number")
@@ -281,7 +281,7 @@ def _tables(e: SpectralEstimator) -> kernels.Tables:
     )  # fmt: skip
 
 
-def _assemble(problem: Problem, parts: Parts, method: str, white_width: float) -> SpectralEstimator:
+def _assemble(problem: SpectralProblem, parts: Parts, method: str, white_width: float) -> SpectralEstimator:
     space, local, size = problem.space, parts.correction, len(parts.basis)
     channels = problem.weights.shape[0]
     table, origin, step = correction_table(local, space)

@@ -245,7 +245,7 @@ TABLE_STEP, TABLE_CELLS = 0.25, 64
 
 
 @dataclass(frozen=True)
-class Problem:
+class SpectralProblem:
     """The data of every method: spectra (M, 61), weights (N, 61), responses (M, N), their space, the noise."""
 
     spectra: np.ndarray
@@ -269,7 +269,7 @@ class Parts:
     left_out: np.ndarray  # (61,) mean square error over the training set
 
 
-def fit_paper(problem: Problem, bases: int | None, *, white: bool) -> Parts:
+def fit_paper(problem: SpectralProblem, bases: int | None, *, white: bool) -> Parts:
     """Fit principal bases and sigma = H^-1 rho'; with `white`, one more row for the white anchor.
 
     Tominaga and Tanaka (2004), eq. 5-8.
@@ -295,7 +295,7 @@ BasesRule = Callable[[np.ndarray, float], int]
 """Number of output bases from the estimates (M, 61) of the training spectra and their mean-square error."""
 
 
-def fit_regression(problem: Problem, bases: int | BasesRule | None, centres: int | None) -> Parts:
+def fit_regression(problem: SpectralProblem, bases: int | BasesRule | None, centres: int | None) -> Parts:
     """Fit Wiener's estimator, with a local correction of so many centres unless they are None.
 
     The correction learns from responses with the noise that those of pixels have. Where channels are nearly alike, as

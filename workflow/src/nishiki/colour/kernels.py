@@ -26,7 +26,7 @@ class SpectralFlag(IntEnum):
 
 
 @njit(cache=True, error_model="numpy")
-def _whitened(response, mean, whiten, z):
+def _whiten(response, mean, whiten, z):
     """Whiten one response to z; return (mean non-negative response, finite, negative)."""
     channels = response.size
     brightness = 0.0
@@ -192,7 +192,7 @@ def apply_estimator(responses, e, coefficients, sigma, flags):
     for p in range(pixels):
         response = responses[p]
         out = coefficients[p]
-        brightness, finite, negative = _whitened(response, e.mean, e.whiten, z)
+        brightness, finite, negative = _whiten(response, e.mean, e.whiten, z)
         if not finite:
             for k in range(size):
                 out[k] = 0.0

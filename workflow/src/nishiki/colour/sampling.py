@@ -110,7 +110,7 @@ def channel_weights(illuminant: np.ndarray, sensitivities: np.ndarray) -> np.nda
     # only shapes matter: brought to a largest value of 1, no unit of power or response leaves float64
     steps = np.ones(BANDS)
     steps[[0, -1]] *= 0.5  # trapezoids: exact for piecewise linear curves
-    products = normalised(curves) * normalised(lamp) * steps
+    products = normalise_curves(curves) * normalise_curves(lamp) * steps
     totals = products.sum(axis=1)
     blind = np.flatnonzero(~(totals > 1e-12 * max(np.abs(totals).max(), np.finfo(float).tiny)))
     if blind.size:
@@ -133,13 +133,13 @@ def under_one_lamp(illuminant: np.ndarray | None = None, sensitivities: np.ndarr
         return curves
     if len(illuminant) == 1:
         return {"illuminant": illuminant[0], **curves}
-    lamps = normalised(illuminant)
+    lamps = normalise_curves(illuminant)
     mean = lamps.mean(axis=0)
     relative = np.divide(lamps, mean, out=np.zeros_like(lamps), where=mean > 0)
     return {"illuminant": mean, **{name: values * relative for name, values in curves.items()}}
 
 
-def normalised(curves: np.ndarray) -> np.ndarray:
+def normalise_curves(curves: np.ndarray) -> np.ndarray:
     """Divide curves (..., 61) by their largest absolute value; a curve of zeros stays as it is."""
     top = np.abs(curves).max(axis=-1, keepdims=True)
     return curves / np.where(top > 0, top, 1.0)

@@ -58,7 +58,7 @@ def draw_pigments(draw, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Draw absorption and scattering (count, 61), one pigment a row, by `draw` (`nishiki.colour.training.Draw`)."""
     share = np.cumsum([pigment.share for pigment in PIGMENTS])
     picked = np.searchsorted(share[:-1] / share[-1], draw.uniform(0.0, 1.0, count), side="right")
-    edges, bands = _padded([p.edges for p in PIGMENTS], 4)[picked], _padded([p.bands for p in PIGMENTS], 3)[picked]
+    edges, bands = _pad([p.edges for p in PIGMENTS], 4)[picked], _pad([p.bands for p in PIGMENTS], 3)[picked]
     table = np.array([(p.strength, p.scattering, p.slope, p.floor) for p in PIGMENTS])
     strength, scattering, slope, floor = table[picked].T[..., None]
     strength = strength * draw.log_normal(STRENGTH_SPREAD, count, 1)
@@ -85,7 +85,7 @@ def edge(place: np.ndarray, decay: np.ndarray, strength: np.ndarray, scattering:
     return strength / (1.0 + np.exp(np.clip((WAVELENGTHS_NM - (place - ahead)) / decay, -50.0, 50.0)))
 
 
-def _padded(rows: list[tuple], columns: int) -> np.ndarray:
+def _pad(rows: list[tuple], columns: int) -> np.ndarray:
     """Pad rows to (pigments, most features, columns) with features of no height at the end of shorter rows."""
     table = np.ones((len(rows), max(len(row) for row in rows), columns))
     table[:, :, -1] = 0.0

@@ -246,10 +246,10 @@ def prune(configfiles, sweeps, unnamed, delete, as_json, gone) -> int:
     Exit status 1 where something that was to be removed could not be.
     """
     from nishiki.archive.prune import decide
-    from nishiki.engine.running_lock import records, refuse_while_running, registered
+    from nishiki.engine.running_lock import records, refuse_while_running, register_run
 
     status = 0
-    for results, planned, known in _referenced(configfiles or (CONFIGURATION,), sweeps):
+    for results, planned, known in _list_references(configfiles or (CONFIGURATION,), sweeps):
         if not results.is_dir():
             raise UserError(f"{results}: folder not found; there is nothing to prune")
         _refuse_unknown_sweeps(results, known, unnamed)
@@ -262,14 +262,16 @@ def prune(configfiles, sweeps, unnamed, delete, as_json, gone) -> int:
             continue
         refuse_while_running(results, "nothing is removed")
         scenes = [path.name for path in results.iterdir() if path.is_dir() and not path.name.startswith(".")]
-        with registered(results, scenes, gone=gone, tell=_note) as held:
+        with register_run(results, scenes, gone=gone, tell=_note) as held:
             status = max(status, _delete(decide(results, planned, **decision), as_json))
             # What a killed run may have torn is for the next run to look at, not forgotten here.
             held.ended = "pruned" if held.unclean else "done"
     return status
 
 
-def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> "list[tuple[Path, set[Place], set[str]]]":
+def _list_references(
+    configurations: tuple[str, ...], sweeps: tuple[str, ...]
+) -> "list[tuple[Path, set[Place], set[str]]]":
     """List results folders, the artifacts that all configurations and sweeps name, and the names of the sweeps."""
     from nishiki.engine.plan import configuration_of, read_sweep
     from nishiki.engine.project import load_yaml
@@ -284,7 +286,7 @@ def _referenced(configurations: tuple[str, ...], sweeps: tuple[str, ...]) -> "li
         flow = Workflow(load_yaml(Path(name)))
         results = Path(flow.results)
         _, planned, known = referenced.setdefault(results.resolve(), (results, set(), set()))
-        planned |= flow.planned(files_of)
+        planned |= flow.list_planned(files_of)
         known |= {read_sweep(sweep, flow.project)[0] for sweep in (*flow.project.configuration.sweeps, *files_of)}
     return list(referenced.values())
 

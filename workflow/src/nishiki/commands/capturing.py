@@ -218,7 +218,7 @@ def rig() -> None:
 @rig.command(examples=("rig ports",))
 def ports() -> None:
     """List what is connected: serial ports with vendor and product, cameras."""
-    from nishiki.installation import install_extras, installed
+    from nishiki.installation import install_extras, is_installed
     from nishiki.rig.description import camera_ports, serial_ports
 
     on_usb, others = serial_ports()
@@ -227,7 +227,7 @@ def ports() -> None:
         print(line)
     if not on_usb:
         print(NOTHING_CONNECTED)
-    if not installed("gphoto2"):
+    if not is_installed("gphoto2"):
         print(f"cameras are not listed: gphoto2 is not installed. Remedy: {install_extras('rig')}", file=sys.stderr)
 
 
@@ -291,8 +291,8 @@ def _teller(capture: str) -> Any:
     class Teller(RunState):
         progress = Progress(f"rig run {capture}")
 
-        def happened(self, event: dict) -> None:
-            super().happened(event)
+        def record_event(self, event: dict) -> None:
+            super().record_event(event)
             if event["event"] == "frame":
                 left = duration(self.seconds_left())
                 self.progress(len(self.kept), len(self.frames), f"{event['file']}, {left} left")

@@ -91,12 +91,12 @@ def option(spelling: str, text: str, name: str = "", **settings) -> Callable[[Ca
 def apply(*decorators: Callable) -> Callable[[Callable], Callable]:
     """Join declarations of options into one, in their order."""
 
-    def joined(function: Callable) -> Callable:
+    def join(function: Callable) -> Callable:
         for each in reversed(decorators):
             function = each(function)
         return function
 
-    return joined
+    return join
 
 
 def cores(context: click.Context, parameter: click.Parameter, text: str | None) -> str | None:

@@ -18,7 +18,7 @@ from statistics import fmean
 from nishiki.artifacts.artifact import expect_links
 from nishiki.engine.finished import set_aside_unsound, unfinished_scenes
 from nishiki.engine.plan import Plan
-from nishiki.engine.running_lock import registered
+from nishiki.engine.running_lock import register_run
 from nishiki.engine.workflow import LEAVE_OUT, Workflow
 from nishiki.installation import INSTALLED, SNAKEFILE, SOURCE
 
@@ -108,7 +108,7 @@ def call_engine(
     rest = ["--snakefile", str(SNAKEFILE), "--configfile", configfile, *options]
     if LOOKS_ONLY & set(options):
         return subprocess.run([*snakemake, *QUIET, *rest], check=False, env=environment).returncode
-    with registered(Path(flow.results), flow.plans, gone=gone, tell=_tell) as held:
+    with register_run(Path(flow.results), flow.plans, gone=gone, tell=_tell) as held:
         scenes = list(flow.plans)
         if unfinished_only:
             scenes = list(unfinished_scenes(flow, contents=held.unclean))
@@ -119,7 +119,7 @@ def call_engine(
                 return 0
             if done:
                 _tell(f"{done} of {total} scenes are finished and left as they are")
-            held.leave_out_finished(scenes)
+            held.record_unfinished(scenes)
         expect_links(Path(flow.results))
         plans = [flow.plans[each.name] for scene in scenes for each in flow.plans[scene].scene.with_fields]
         plans += [variant.plan for swept in (flow.sweep.scenes if flow.sweep else ()) for variant in swept.variants]

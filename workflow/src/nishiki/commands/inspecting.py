@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from nishiki.commands.declare import any_scene_argument, command, option, with_configuration, with_json
 from nishiki.errors import UserError
-from nishiki.installation import EXTRAS, PURPOSE, install_command, installed
+from nishiki.installation import EXTRAS, PURPOSE, install_command, is_installed
 
 if TYPE_CHECKING:
     from nishiki.engine.plan import Plan
@@ -47,11 +47,11 @@ def scene_plan(flow: "Workflow", name: str) -> dict[str, Any]:
         ingest = made.stages["ingest"].settings
         reads = usage_of(capture, without=ingest["without"], channels=ingest["channels"])
     loaded = tuple(dict.fromkeys(p for names in made.packages.values() for p in names if p in EXTRAS))
-    missing = tuple(package for package in loaded if not installed(package))
+    missing = tuple(package for package in loaded if not is_installed(package))
     return {
         "scene": name,
         "geometry": made.facts.geometry,
-        "what": described(made.facts),
+        "what": describe_capture(made.facts),
         "stages": [_stage(flow, made, name, stage) for stage in made.stages],
         "reads": reads,
         "optional_packages": {
@@ -68,7 +68,7 @@ def expect_packages(flow: "Workflow") -> None:
     """Raise a UserError where a stage to run needs a package that is not installed; video has a way without it."""
     for name, made in flow.plans.items():
         for stage, packages in made.packages.items():
-            missing = tuple(p for p in packages if p in EXTRAS and p != "av" and not installed(p))
+            missing = tuple(p for p in packages if p in EXTRAS and p != "av" and not is_installed(p))
             if missing and stage_state(flow, name, stage)[0] == "run":
                 need = " and ".join(f"{p} ({PURPOSE[p]})" for p in missing)
                 raise UserError(
@@ -92,7 +92,7 @@ def _stage(flow: "Workflow", made: "Plan", scene: str, stage: str) -> dict[str, 
     }
 
 
-def described(facts: "SceneFacts") -> str:
+def describe_capture(facts: "SceneFacts") -> str:
     """Describe a capture in one line: size and number of lights, views, polariser states or pairs of directions."""
     channels = f"{facts.channels} channel{'s' * (facts.channels > 1)}"
     if facts.geometry == "goniometer":

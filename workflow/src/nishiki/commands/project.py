@@ -291,10 +291,10 @@ def test(quick: bool, long: bool, rest: tuple[str, ...]) -> int:
 @option("--plane", "only what paintings need")
 def compile_kernels(plane: bool) -> int:
     """Compile all kernels ahead, by running tiny simulated scenes in a temporary folder; two to three minutes."""
-    from nishiki.installation import installed
+    from nishiki.installation import is_installed
 
     # The simulated object needs the extra mesh; whoever installs without it digitises no objects.
-    scenes = {name: preset for name, preset in TINY.items() if name != "turntable" or installed("scikit-image")}
+    scenes = {name: preset for name, preset in TINY.items() if name != "turntable" or is_installed("scikit-image")}
     scenes = {"plane": "tiny"} if plane else scenes
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

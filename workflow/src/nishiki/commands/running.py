@@ -164,13 +164,14 @@ def run_scenes(
 
 def _announce(flow) -> None:
     """Tell of each scene that is not finished what it is and how long it is expected to take."""
-    from nishiki.commands.inspecting import described, duration
+    from nishiki.commands.inspecting import describe_capture, duration
 
     for scene, plan in list(flow.plans.items())[:NAMED]:
         stages = [stage for stage in plan.stages if not Path(flow.artifact(scene, stage)).is_file()]
         if stages:
             seconds = duration(sum(flow.seconds(scene, stage) for stage in stages))
-            text = f"{scene}: {described(plan.facts)}; {len(stages)} stages to run, about {seconds} of one processor"
+            about = describe_capture(plan.facts)
+            text = f"{scene}: {about}; {len(stages)} stages to run, about {seconds} of one processor"
             print(text, file=sys.stderr, flush=True)
 
 

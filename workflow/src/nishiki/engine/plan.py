@@ -18,7 +18,7 @@ from nishiki.installation import EXTRAS
 from nishiki.observations.region import LIGHT
 from nishiki.stages.base import SceneFacts, SceneSettings, Stage
 from nishiki.stages.table import CHAIN, chain_of
-from nishiki.sweep.variants import AS_CONFIGURED, SweepSettings, Variant, expand, nested
+from nishiki.sweep.variants import AS_CONFIGURED, SweepSettings, Variant, expand, nest_settings
 
 PARTS = {
     "check": "photographs under check lights",
@@ -321,7 +321,7 @@ def _scene_sweep(
 ) -> SceneSweep:
     shared = {key: value for key, value in sweep.settings.items() if key in Shared.model_fields}
     rest = {key: value for key, value in sweep.settings.items() if key not in shared}
-    common = shared | nested(rest, sweep.stage, CHAIN, f"{named}: settings")
+    common = shared | nest_settings(rest, sweep.stage, CHAIN, f"{named}: settings")
     below = scene_with(scene, common, f"{named}: settings")
     facts = facts_of(scene)
     if facts.fields:
@@ -331,26 +331,26 @@ def _scene_sweep(
     for variant in variants:
         where = f"{named}: variant {variant.name!r}"
         changed = replace(scene_with(below, variant.overrides, where), products=("evaluate",))
-        plans[variant.name] = _evaluated(changed, facts, where)
+        try:
+            plans[variant.name] = make_plan(changed, facts)
+        except UserError as error:
+            raise UserError(
+                f"{where}: scene {scene.name!r} has no evaluation, so that there is no error to compare ({error}). "
+                "Remedy: give it a truth, check lights or check views, or hold_out"
+            ) from None
     stages = next(iter(plans.values())).stages
     evaluation = next(name for name in stages if CHAIN[name].asked_as == "evaluate")
     reference = plans[sweep.default or AS_CONFIGURED]
     return SceneSweep(
-        scene.name, facts, _merged(plans, evaluation, reference), evaluation, _counted(named, sweep, plans, evaluation)
+        scene.name,
+        facts,
+        _merge_variants(plans, evaluation, reference),
+        evaluation,
+        _list_varied_stages(named, sweep, plans, evaluation),
     )
 
 
-def _evaluated(scene: Scene, facts: SceneFacts, where: str) -> Plan:
-    try:
-        return make_plan(scene, facts)
-    except UserError as error:
-        raise UserError(
-            f"{where}: scene {scene.name!r} has no evaluation, so that there is no error to compare ({error}). Remedy: "
-            "give it a truth, check lights or check views, or hold_out"
-        ) from None
-
-
-def _merged(plans: dict[str, Plan], evaluation: str, reference: Plan) -> tuple[PlannedVariant, ...]:
+def _merge_variants(plans: dict[str, Plan], evaluation: str, reference: Plan) -> tuple[PlannedVariant, ...]:
     """Merge variants with the same evaluation key: all that it was made from is the same."""
     names: dict[str, list[str]] = {}
     for name, plan in plans.items():
@@ -363,7 +363,7 @@ def _merged(plans: dict[str, Plan], evaluation: str, reference: Plan) -> tuple[P
     return tuple(variants)
 
 
-def _counted(named: str, sweep: SweepSettings, plans: dict[str, Plan], evaluation: str) -> tuple[str, ...]:
+def _list_varied_stages(named: str, sweep: SweepSettings, plans: dict[str, Plan], evaluation: str) -> tuple[str, ...]:
     """List the stages that lead to the evaluation and differ between variants.
 
     The evaluation itself counts only where nothing else differs. A sweep may name its own stages.

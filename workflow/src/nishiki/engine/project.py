@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import yaml
 from pydantic import Field, create_model
 
-from nishiki.artifacts.closed import Closed, merged, parse
+from nishiki.artifacts.closed import Closed, merge_blocks, parse
 from nishiki.artifacts.provenance import scene_of_field, truth_digest
 from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.goniometer import GoniometerCapture
@@ -197,7 +197,7 @@ def _scene(row: dict[str, str], configuration: Configuration, values: dict, tabl
     settings: StageSettings = configuration
     if path := row.get("settings", "").strip():
         shared = {key: value for key, value in values.items() if key in StageSettings.model_fields}
-        settings = parse(StageSettings, merged(shared, load_yaml(Path(path))), path)
+        settings = parse(StageSettings, merge_blocks(shared, load_yaml(Path(path))), path)
     scene = Scene(name, _place(capture), _place(truth) if truth else None, products, settings)
     return replace(scene, fields=_scenes_of_fields(scene)) if is_mosaic(scene.capture) else scene
 
@@ -228,7 +228,7 @@ def _place(text: str) -> Path:
 def scene_with(scene: Scene, overrides: dict, where: str) -> Scene:
     """Change some settings of a scene, by stage. Raises UserError naming `where` and the key."""
     base = scene.settings.model_dump(exclude_unset=True, include=set(StageSettings.model_fields))
-    return replace(scene, settings=parse(StageSettings, merged(base, overrides), where))
+    return replace(scene, settings=parse(StageSettings, merge_blocks(base, overrides), where))
 
 
 def scene_with_exports(scene: Scene, geometry: str, formats: tuple[str, ...]) -> Scene:
@@ -253,21 +253,21 @@ def scene_facts(scene: Scene) -> SceneFacts:
     return replace(FACTS[capture.geometry](capture), truth_sha256=truth_digest(scene.truth) if scene.truth else "")
 
 
-def _of_plane(capture: Capture) -> SceneFacts:
+def _plane_facts(capture: Capture) -> SceneFacts:
     return SceneFacts(
-        **_of_any(capture),
+        **_common_facts(capture),
         lights=tuple(frame.light for frame in capture.observed if frame.role == "sample"),
         check_lights=tuple(frame.light for frame in capture.observed if frame.role == "check"),
         channels=len(capture.settings.camera.channels),
         pixels=_pixels(capture),
         parts={role: len(capture.frames_of(role)) for role in ("check", "flat")},
-        kept_pixels=_kept_pixels(capture),
+        kept_pixels=_count_pixels(capture),
     )
 
 
-def _of_mosaic(capture: MosaicCapture) -> SceneFacts:
+def _mosaic_facts(capture: MosaicCapture) -> SceneFacts:
     """Return facts of the joined maps; pixels: of all fields, of which their overlaps are counted more than once."""
-    fields = [_of_plane(each) for each in capture.captures]
+    fields = [_plane_facts(each) for each in capture.captures]
     return replace(
         fields[0],
         capture_digest=capture.digest,
@@ -282,7 +282,7 @@ def _of_mosaic(capture: MosaicCapture) -> SceneFacts:
     )
 
 
-def _of_turntable(capture: TurntableCapture) -> SceneFacts:
+def _turntable_facts(capture: TurntableCapture) -> SceneFacts:
     boards = {frame.view for frame in capture.frames_of("board")}
     given = {
         "matrices": capture.matrices is not None,
@@ -293,7 +293,7 @@ def _of_turntable(capture: TurntableCapture) -> SceneFacts:
     }
     header = read_header(capture.observed[0].path, name=capture.observed[0].file)
     return SceneFacts(
-        **_of_any(capture),
+        **_common_facts(capture),
         lights=capture.light_names,
         check_lights=(),
         channels=len(capture.settings.camera.channels),
@@ -307,7 +307,7 @@ def _of_turntable(capture: TurntableCapture) -> SceneFacts:
     )
 
 
-def _of_goniometer(capture: GoniometerCapture) -> SceneFacts:
+def _goniometer_facts(capture: GoniometerCapture) -> SceneFacts:
     angles, pixels, table = capture.angles_deg, 1, capture.table is not None
     if not table:
         header = read_header(capture.observed[0].path, name=capture.observed[0].file)
@@ -315,7 +315,7 @@ def _of_goniometer(capture: GoniometerCapture) -> SceneFacts:
         pixels = rows * columns if capture.regions is not None else min(rows, crop) * min(columns, crop)
     along = sum(angle[0] < NORMAL_DEG for angle in angles)
     return SceneFacts(
-        **_of_any(capture),
+        **_common_facts(capture),
         lights=(),
         check_lights=(),
         channels=len(capture.channels),
@@ -329,14 +329,14 @@ def _of_goniometer(capture: GoniometerCapture) -> SceneFacts:
 
 
 FACTS: dict[str, Callable[[Any], SceneFacts]] = {
-    "plane": _of_plane,
-    "turntable": _of_turntable,
-    "goniometer": _of_goniometer,
-    "mosaic": _of_mosaic,
+    "plane": _plane_facts,
+    "turntable": _turntable_facts,
+    "goniometer": _goniometer_facts,
+    "mosaic": _mosaic_facts,
 }
 
 
-def _of_any(capture: Capture | TurntableCapture | GoniometerCapture) -> dict[str, Any]:
+def _common_facts(capture: Capture | TurntableCapture | GoniometerCapture) -> dict[str, Any]:
     """Return the facts that captures of every geometry have."""
     return {
         "capture_digest": capture_digest(capture.root),
@@ -371,7 +371,7 @@ def _pixels(capture: Capture) -> int:
     return header.rows * header.columns
 
 
-def _kept_pixels(capture: Capture) -> int:
+def _count_pixels(capture: Capture) -> int:
     """Count the pixels of the mask's bounding box inside the region of interest.
 
     The count is 0 without a mask, or with one that ingest will refuse.

@@ -37,7 +37,7 @@ LARGEST = 2**24
 
 
 @dataclass(frozen=True)
-class Record:
+class RunRecord:
     """The record of a run, and its state.
 
     alive; dead: killed, which is certain; ended: by itself, without success; elsewhere: cannot be told from here.
@@ -71,7 +71,7 @@ class Record:
         """Return whether it makes any of these scenes; one whose record cannot be read may make all."""
         return not self.facts or bool(self.scenes & scenes)
 
-    def unknown(self) -> str:
+    def describe_unknown(self) -> str:
         """Describe a run whose state this machine cannot determine, and the remedy."""
         if not self.facts:
             return f"an unreadable record of a run. Remedy: make sure that no run is alive, then delete {self.path}"
@@ -82,9 +82,9 @@ class Record:
         )
 
 
-def records(results: Path) -> list[Record]:
+def records(results: Path) -> list[RunRecord]:
     """List the runs registered on some results, with their state; changes nothing."""
-    examined = (_examined(path) for path in sorted((results / RUNS).glob("*.json")))
+    examined = (_examine(path) for path in sorted((results / RUNS).glob("*.json")))
     return [record for record in examined if record is not None]
 
 
@@ -94,7 +94,7 @@ def refuse_while_running(results: Path, what: str) -> None:
         if record.state == "alive":
             raise UserError(f"{results}: {what}: a run is alive: {record}. Remedy: wait for its end")
         if record.state == "elsewhere":
-            raise UserError(f"{results}: {what}: {record.unknown()}")
+            raise UserError(f"{results}: {what}: {record.describe_unknown()}")
 
 
 def scenes_to_make(results: Path, scenes: Iterable[str]) -> list[str]:
@@ -117,7 +117,7 @@ class HeldRun:
     unclean: bool
     ended: str = "failed"
 
-    def leave_out_finished(self, unfinished: Iterable[str]) -> None:
+    def record_unfinished(self, unfinished: Iterable[str]) -> None:
         """Note in the record which scenes are left to make: Snakemake builds its graph of these alone."""
         self.facts[UNFINISHED] = sorted(unfinished)
         _write(self.descriptor, self.facts)
@@ -164,16 +164,16 @@ class HeldRun:
             return
         self.facts["unclean"] = True
 
-        def left() -> list[int]:
+        def list_remaining() -> list[int]:
             child.poll()  # what has ended is no process any more
-            pids = processes.marked(MARK, self.facts["id"])
+            pids = processes.find_marked(MARK, self.facts["id"])
             return pids if everything else [pid for pid in pids if processes.runs(pid, "stage.py")]
 
-        processes.stop(left, patience_s=1.0)
+        processes.stop(list_remaining, patience_s=1.0)
 
 
 @contextmanager
-def registered(
+def register_run(
     results: Path, scenes: Iterable[str], *, gone: Iterable[str] = (), tell: Callable[[str], None] = print
 ) -> Iterator[HeldRun]:
     """Register this run on some scenes of some results, after clearing up after dead ones.
@@ -224,20 +224,20 @@ def _one_at_a_time(results: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _refuse(results: Path, record: Record, scenes: set[str], gone: set[str]) -> None:
+def _refuse(results: Path, record: RunRecord, scenes: set[str], gone: set[str]) -> None:
     if record.state == "alive":
         which = sorted(record.scenes & scenes)
         named = ", ".join(which[:5]) + (f" and {len(which) - 5} more" if len(which) > 5 else "")
         left = ""
         if not processes.is_alive(record.facts.get("process", "")):
-            pids = ", ".join(map(str, processes.marked(MARK, record.facts.get("id", ""))))
+            pids = ", ".join(map(str, processes.find_marked(MARK, record.facts.get("id", ""))))
             left = f"; that process has ended, its Snakemake and jobs continue: {pids}"
         raise UserError(f"{results}: a run of {named} is alive: {record}{left}. Remedy: wait for its end, or end it")
     if record.state == "elsewhere" and record.host not in gone:
-        raise UserError(f"{results}: {record.unknown()}")
+        raise UserError(f"{results}: {record.describe_unknown()}")
 
 
-def _clear_up(record: Record, alive: set[str], tell: Callable[[str], None]) -> None:
+def _clear_up(record: RunRecord, alive: set[str], tell: Callable[[str], None]) -> None:
     """End the jobs that a run left on this machine, and remove what Snakemake had put by of its manifests.
 
     Snakemake puts manifests by to restore them where a job fails; after a kill they would come back when a job of a
@@ -245,10 +245,10 @@ def _clear_up(record: Record, alive: set[str], tell: Callable[[str], None]) -> N
     """
     if not record.facts:
         return
-    orphans = processes.marked(MARK, record.facts["id"])
+    orphans = processes.find_marked(MARK, record.facts["id"])
     if orphans:
         tell(f"ending {len(orphans)} processes left by a run that was killed ({record})")
-        left = processes.stop(lambda: processes.marked(MARK, record.facts["id"]))
+        left = processes.stop(lambda: processes.find_marked(MARK, record.facts["id"]))
         if left:
             raise UserError(f"processes left by a killed run do not end: {', '.join(map(str, left))}. Remedy: end them")
     backups = Path(record.facts["directory"], ".snakemake/backups", record.facts["results"].lstrip("/"))
@@ -290,7 +290,7 @@ def _write(descriptor: int, facts: dict[str, Any]) -> None:
     os.fsync(descriptor)
 
 
-def _forget(record: Record, scenes: set[str]) -> None:
+def _forget(record: RunRecord, scenes: set[str]) -> None:
     """Take away a record that this run's own replaces; of a killed run, what concerns other scenes is kept."""
     others = record.scenes - scenes
     if not others or not record.unclean:
@@ -315,22 +315,22 @@ def _is_free(descriptor: int, kind: int) -> bool:
     return True
 
 
-def _examined(path: Path) -> Record | None:
+def _examine(path: Path) -> RunRecord | None:
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC | os.O_NOFOLLOW)
     except FileNotFoundError:
         return None
     except OSError:
-        return Record(path, {}, "elsewhere")
+        return RunRecord(path, {}, "elsewhere")
     try:
-        facts = _parsed(os.pread(descriptor, LARGEST, 0))
+        facts = _parse(os.pread(descriptor, LARGEST, 0))
         # Shared: two that look at the same time do not take each other for the run.
-        return Record(path, facts, _state(facts) if _is_free(descriptor, fcntl.LOCK_SH) else "alive")
+        return RunRecord(path, facts, _state(facts) if _is_free(descriptor, fcntl.LOCK_SH) else "alive")
     finally:
         os.close(descriptor)
 
 
-def _parsed(data: bytes) -> dict[str, Any]:
+def _parse(data: bytes) -> dict[str, Any]:
     with suppress(ValueError, RecursionError):
         facts = json.loads(data)
         texts = ("id", "host", "process", "directory", "results")

@@ -28,7 +28,7 @@ from nishiki.engine.plan import (
     plan_sweep,
 )
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_facts, scene_with_exports
-from nishiki.errors import UserError, of_the_machine, require, unknown_scene
+from nishiki.errors import UserError, describe_machine_error, require, unknown_scene
 from nishiki.formats.files import machine_memory
 from nishiki.stages.base import SceneFacts
 from nishiki.stages.table import CHAIN
@@ -171,7 +171,7 @@ class Plans(Mapping):
     def __len__(self) -> int:
         return len(self._names)
 
-    def leave_out_refused(self) -> dict[str, str]:
+    def take_out_refused(self) -> dict[str, str]:
         """Make all plans; scenes that cannot be planned are taken out and returned with the reason."""
         refused = {}
         for name in list(self._names):
@@ -180,7 +180,7 @@ class Plans(Mapping):
             except UserError as error:
                 refused[name] = str(error)
             except OSError as error:
-                message = of_the_machine(error)
+                message = describe_machine_error(error)
                 if message is None:
                     raise
                 refused[name] = f"scene {name!r}: {message}"
@@ -223,7 +223,7 @@ class Workflow(Scheduling):
         if self.project.configuration.sweep:
             self._plan_sweep(self.project.configuration.sweep)
         elif leave_out_refused:
-            self.refused = plans.leave_out_refused()
+            self.refused = plans.take_out_refused()
             if not plans:
                 raise UserError("\n".join(self.refused.values()))
         elif not lazy:
@@ -271,7 +271,7 @@ class Workflow(Scheduling):
             raise UserError(f"{self.results}/{scene}/{stage}/{key}: not part of the present configuration")
         return planned
 
-    def planned(self, sweeps: Sequence[str] = ()) -> set[tuple[str, str, str]]:
+    def list_planned(self, sweeps: Sequence[str] = ()) -> set[tuple[str, str, str]]:
         """Return (scene, stage, key) of everything that the configuration requires.
 
         It covers its scenes, its blocks of sweeps, and these sweeps with files of their own.

@@ -11,7 +11,7 @@ from nishiki.formats.stored import open_array, open_group
 from nishiki.observations.views import Views
 
 
-class Pictures:
+class LinearPictures:
     """Photographs by view in linear light: all light and, with polarisation separation, its parts."""
 
     def __init__(self, inputs: Mapping[str, Artifact]):
@@ -39,7 +39,7 @@ class Pictures:
         return {"diffuse": diffuse, "specular": specular, "total": total}, valid
 
 
-class Photographs(Pictures):
+class Photographs(LinearPictures):
     """Counterparts of rendered pictures from ingest, mesh and, with polariser states, polarise."""
 
     def __init__(self, inputs: Mapping[str, Artifact]):

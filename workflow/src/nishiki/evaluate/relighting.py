@@ -37,7 +37,7 @@ def classify(diffuse: np.ndarray, specular: np.ndarray, lit: np.ndarray, *, insi
 
 
 @dataclass(frozen=True)
-class Level:
+class ErrorLevel:
     """A level and its largest mean (and 90th percentile, where the scheme has one).
 
     The schemes of museums and libraries are defined for the patches of a colour target photographed with the object,
@@ -53,17 +53,17 @@ class Level:
 # FADGI, Technical Guidelines for Digitizing Cultural Heritage Materials, 3rd edition (2023): colour accuracy as mean
 # and 90th percentile of Delta E 2000. The limit of one star on the 90th percentile is left open here.
 FADGI = (
-    Level("4 stars", 2.0, 4.0),
-    Level("3 stars", 3.5, 7.0),
-    Level("2 stars", 5.0, 10.0),
-    Level("1 star", 6.5, None),
+    ErrorLevel("4 stars", 2.0, 4.0),
+    ErrorLevel("3 stars", 3.5, 7.0),
+    ErrorLevel("2 stars", 5.0, 10.0),
+    ErrorLevel("1 star", 6.5, None),
 )
 # ISO 19264-1:2021: mean difference of the patches of a target, levels A, B, C. Levels B and C share the mean; they
 # differ elsewhere. The standard also limits the largest difference of a patch, which has no counterpart for pixels.
-ISO_19264 = (Level("A", 4.0, None), Level("B", 5.0, None))
+ISO_19264 = (ErrorLevel("A", 4.0, None), ErrorLevel("B", 5.0, None))
 
 
-def level_of(mean: float | None, p90: float | None, levels: tuple[Level, ...]) -> str:
+def level_of(mean: float | None, p90: float | None, levels: tuple[ErrorLevel, ...]) -> str:
     """Return the best level whose limits hold, or `none`. FADGI requires values below its limits, ISO at most them."""
     if mean is None:
         return "not measured"
@@ -148,12 +148,12 @@ class LightComparison:
     def score(self) -> dict[str, Any]:
         """Return figures over all bands: errors and CIEDE2000 of all compared pixels and by class; pixels left out."""
 
-        def scored(sums: np.ndarray, pixels: np.ndarray) -> dict[str, Any]:
+        def score_sums(sums: np.ndarray, pixels: np.ndarray) -> dict[str, Any]:
             return {**error_figures(sums), "de00": asdict(summarise(self.de00_map, where=pixels))}
 
-        by_class = {name: scored(self.sums[label], self.classes == label) for label, name in NAMES.items()}
+        by_class = {name: score_sums(self.sums[label], self.classes == label) for label, name in NAMES.items()}
         return {
-            **scored(self.sums.sum(axis=0), self.classes > 0),
+            **score_sums(self.sums.sum(axis=0), self.classes > 0),
             "by_class": by_class,
             "excluded": dict(self.excluded),
         }

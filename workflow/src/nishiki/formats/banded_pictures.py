@@ -149,7 +149,7 @@ def write_tiff(
             (33922, 12, 6, (0.0, 0.0, 0.0, left, top, 0.0), True),
         ]
 
-    def packed() -> Iterator[bytes]:
+    def pack_bands() -> Iterator[bytes]:
         row = 0
         for band in chain([first], bands):
             values = np.ascontiguousarray(band, dtype).reshape(-1, columns, samples)
@@ -165,7 +165,7 @@ def write_tiff(
     size = int(np.prod(shape, dtype=np.int64)) * dtype.itemsize
     with tifffile.TiffWriter(path, bigtiff=size > CLASSIC_LIMIT, byteorder="<") as tiff:
         tiff.write(
-            packed(), shape=shape if samples > 1 else shape[:2], dtype=dtype, rowsperstrip=len(first),
+            pack_bands(), shape=shape if samples > 1 else shape[:2], dtype=dtype, rowsperstrip=len(first),
             photometric="rgb" if samples == 3 else "minisblack", compression="zlib", predictor=dtype.kind == "u",
             description=description.encode(), software=software.encode(), iccprofile=icc or None, extratags=extra,
             metadata=None, **scale,
@@ -227,12 +227,12 @@ class ExrWriter:
 
     def _put(self, values: np.ndarray) -> None:
         """Write rows in blocks, the last of which may be lower."""
-        for rows, stored in in_threads(self._packed, [values[part] for part in strips(len(values), BLOCK_ROWS)]):
+        for rows, stored in in_threads(self._pack, [values[part] for part in strips(len(values), BLOCK_ROWS)]):
             self._offsets.append(self._file.tell())
             self._file.write(struct.pack("<ii", self._row, len(stored)) + stored)
             self._row += rows
 
-    def _packed(self, rows: np.ndarray) -> tuple[int, bytes]:
+    def _pack(self, rows: np.ndarray) -> tuple[int, bytes]:
         raw = np.ascontiguousarray(rows[..., self._order].transpose(0, 2, 1), "<f4").tobytes()
         data = np.frombuffer(raw, np.uint8)
         split = np.concatenate([data[::2], data[1::2]])  # even bytes before odd ones, each less the one before, + 128
@@ -338,7 +338,7 @@ def write_deep_zoom(folder: Path, name: str, picture: Samples, scratch: Path, qu
         for row, column, window in _tiles(*present.shape[:2]):
             (here / f"{column}_{row}.jpg").write_bytes(jpeg_bytes(present[window], quality))
         if level:
-            present = _halved(present, scratch / f"{name}_{level - 1}")
+            present = _halve(present, scratch / f"{name}_{level - 1}")
 
 
 def write_iiif_image(folder: Path, address: str, picture: Samples, scratch: Path, quality: int) -> None:
@@ -366,7 +366,7 @@ def write_iiif_image(folder: Path, address: str, picture: Samples, scratch: Path
         if max(high, wide) <= IIIF_TILE:
             break
         factors.append(2 * factor)
-        present = _halved(present, scratch / f"factor_{2 * factor}")
+        present = _halve(present, scratch / f"factor_{2 * factor}")
     wholes = {present.shape[1::-1]: present, (width, height): whole}  # viewers ask for both
     for (wide, high), shown in wholes.items():
         _iiif_file(folder, "full", f"{wide},{high}").write_bytes(jpeg_bytes(shown, quality))
@@ -428,7 +428,7 @@ def _window(number: int, size: int) -> slice:
     return slice(max(number * TILE - OVERLAP, 0), min((number + 1) * TILE + OVERLAP, size))
 
 
-def _halved(picture: Samples, path: Path) -> Samples:
+def _halve(picture: Samples, path: Path) -> Samples:
     """Reduce to half the size, rounded up: averages of four."""
     import cv2
 

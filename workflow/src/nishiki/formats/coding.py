@@ -38,7 +38,7 @@ ROMM = RgbSpace("ROMM RGB (ProPhoto)", ((0.7347, 0.2653), (0.1596, 0.8404), (0.0
 
 def icc_profile(space: RgbSpace) -> bytes:
     """Encode the profile; the same space gives the same bytes."""
-    curve = b"para" + bytes(4) + struct.pack(">HH", 0, 0) + _fixed(space.gamma)
+    curve = b"para" + bytes(4) + struct.pack(">HH", 0, 0) + _encode_fixed(space.gamma)
     matrix = space.to_xyz()
     tags = {}
     for tag, text in ((b"desc", space.name), (b"cprt", "No copyright, use freely")):
@@ -59,13 +59,13 @@ def icc_profile(space: RgbSpace) -> bytes:
     return header + b"".join(table) + data
 
 
-def _fixed(value: float) -> bytes:
+def _encode_fixed(value: float) -> bytes:
     """Encode an s15Fixed16Number."""
     return struct.pack(">i", round(value * 65536))
 
 
 def _numbers(values: tuple[float, ...] | np.ndarray) -> bytes:
-    return b"".join(_fixed(float(value)) for value in values)
+    return b"".join(_encode_fixed(float(value)) for value in values)
 
 
 def _xyz(values: tuple[float, ...] | np.ndarray) -> bytes:
@@ -80,7 +80,7 @@ D65 = (0.3127, 0.3290)
 
 
 @dataclass(frozen=True)
-class Curve:
+class TransferCurve:
     """Transfer curve of codes: `formula` (g, a, b, c, d, e, f), or `table` over equal steps where it has values."""
 
     formula: tuple[float, ...] = (1.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
@@ -94,15 +94,15 @@ class Curve:
         g, a, b, c, d, e, f = self.formula
         return np.where(codes >= d, np.maximum(a * codes + b, 0) ** g + e, c * codes + f)
 
-    def differs_from(self, other: "Curve") -> bool:
+    def differs_from(self, other: "TransferCurve") -> bool:
         """Check whether two curves give light that differs by more than `SAME`."""
         steps = np.linspace(0, 1, 257)
         return bool(np.abs(self.decode(steps) - other.decode(steps)).max() > SAME)
 
 
-LINEAR = Curve()
-SRGB = Curve((2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045, 0.0, 0.0))
-BT709 = Curve((1 / 0.45, 1 / 1.099, 0.099 / 1.099, 1 / 4.5, 0.081, 0.0, 0.0))
+LINEAR = TransferCurve()
+SRGB = TransferCurve((2.4, 1 / 1.055, 0.055 / 1.055, 1 / 12.92, 0.04045, 0.0, 0.0))
+BT709 = TransferCurve((1 / 0.45, 1 / 1.099, 0.099 / 1.099, 1 / 4.5, 0.081, 0.0, 0.0))
 Matrix = tuple[tuple[float, float, float], ...]
 
 
@@ -111,7 +111,7 @@ class Coding:
     """A file's statements about its codes."""
 
     name: str  # for the user, with its source
-    curve: Curve = LINEAR  # of every channel
+    curve: TransferCurve = LINEAR  # of every channel
     # (3, 3) from linear red, green, blue to XYZ relative to D50, None where no primaries are stated
     to_xyz: Matrix | None = None
     fault: str = ""  # why the statement cannot be used, or ''
@@ -145,7 +145,7 @@ class Coding:
         return not np.allclose(mine, its, atol=5 * SAME)
 
 
-def coding_used(kind: str, stated: Coding | None, encoding: str) -> Coding:
+def choose_coding(kind: str, stated: Coding | None, encoding: str) -> Coding:
     """Choose the coding by which a picture is decoded.
 
     kind: of the file; stated: what the file states; encoding: `file`, or `linear` or `srgb` in place of its curve.
@@ -162,7 +162,7 @@ def coding_from(values: dict[str, Any] | None) -> Coding | None:
     """Rebuild a coding from its plain values (`dataclasses.asdict`, after JSON)."""
     if values is None:
         return None
-    curve = Curve(*(tuple(values["curve"][key]) for key in ("formula", "table")))
+    curve = TransferCurve(*(tuple(values["curve"][key]) for key in ("formula", "table")))
     matrix = values["to_xyz"] and tuple((row[0], row[1], row[2]) for row in values["to_xyz"])
     return Coding(values["name"], curve, matrix, values["fault"], values["developed"])
 
@@ -190,8 +190,8 @@ _XY = {
 _SPACES = {1: "BT.709", 9: "BT.2020", 12: "Display P3"}
 _TRANSFERS = {
     **dict.fromkeys((1, 6, 14, 15), ("curve of BT.709", BT709)),
-    4: ("gamma 2.2", Curve((2.2, *LINEAR.formula[1:]))),
-    5: ("gamma 2.8", Curve((2.8, *LINEAR.formula[1:]))),
+    4: ("gamma 2.2", TransferCurve((2.2, *LINEAR.formula[1:]))),
+    5: ("gamma 2.8", TransferCurve((2.8, *LINEAR.formula[1:]))),
     8: ("linear", LINEAR),
     13: ("curve of sRGB", SRGB),
 }
@@ -201,7 +201,7 @@ _TRANSFERS = {
 def exif_coding(colour_space: str) -> Coding | None:
     """Return the coding that a camera names in its Exif block: 'srgb' or 'adobe' (DCF 2.0)."""
     if colour_space == "adobe":
-        return Coding("Adobe RGB (Exif)", Curve((563 / 256, *LINEAR.formula[1:])), primaries_xyz(ADOBE_XY))
+        return Coding("Adobe RGB (Exif)", TransferCurve((563 / 256, *LINEAR.formula[1:])), primaries_xyz(ADOBE_XY))
     return Coding("sRGB (Exif)", SRGB, SRGB_XYZ) if colour_space == "srgb" else None
 
 
@@ -213,7 +213,7 @@ def png_coding(chunks: dict[bytes, bytes], exif: Coding | None) -> Coding | None
         if transfer not in _TRANSFERS:
             return Coding(name, fault=f"transfer function {transfer} of H.273")
         words, curve = _TRANSFERS[transfer]
-        return Coding(f"{name}, {words}", curve, _known(primaries))
+        return Coding(f"{name}, {words}", curve, primaries_xyz(_XY[primaries]) if primaries in _XY else None)
     if b"iCCP" in chunks:
         import zlib
 
@@ -225,17 +225,13 @@ def png_coding(chunks: dict[bytes, bytes], exif: Coding | None) -> Coding | None
     if b"sRGB" in chunks:
         return Coding("sRGB, PNG chunk", SRGB, SRGB_XYZ)
     if len(gamma := chunks.get(b"gAMA", b"")) == 4 and (value := int.from_bytes(gamma, "big")):
-        curve = Curve((100_000 / value, *LINEAR.formula[1:]))
+        curve = TransferCurve((100_000 / value, *LINEAR.formula[1:]))
         corners = np.frombuffer(chunks.get(b"cHRM", b""), ">u4").reshape(-1, 2) / 1e5
         sound = len(corners) == 4 and (corners > 0).all()
         xy = tuple((float(x), float(y)) for x, y in corners)
         matrix = primaries_xyz(xy[1:], xy[0]) if sound else None
         return Coding(f"gamma {100_000 / value:.3g}, PNG chunk gAMA", curve, matrix)
     return exif
-
-
-def _known(primaries: int) -> Matrix | None:
-    return primaries_xyz(_XY[primaries]) if primaries in _XY else None
 
 
 def transfer_function(values: tuple[int, ...], bits: int) -> Coding | None:
@@ -246,10 +242,10 @@ def transfer_function(values: tuple[int, ...], bits: int) -> Coding | None:
         if np.abs(table - table[0]).max() > SAME:
             return Coding("TIFF transfer function", fault="different tables of the three channels")
         table = table[0]
-    return Coding("TIFF transfer function", Curve(table=_resampled(table))) if len(table) == 1 << bits else None
+    return Coding("TIFF transfer function", TransferCurve(table=_resample(table))) if len(table) == 1 << bits else None
 
 
-def _resampled(table: np.ndarray) -> tuple[float, ...]:
+def _resample(table: np.ndarray) -> tuple[float, ...]:
     steps = np.linspace(0, 1, min(len(table), MOST_STEPS))
     return tuple(float(value) for value in np.interp(steps, np.linspace(0, 1, len(table)), table))
 
@@ -294,7 +290,7 @@ def icc_tags(profile: bytes) -> tuple[dict[bytes, bytes], bytes]:
     return tags, profile[16:20]
 
 
-def _curve(element: bytes) -> Curve:
+def _curve(element: bytes) -> TransferCurve:
     kind = element[:4]
     if kind == b"para":
         (form,) = struct.unpack(">H", element[8:10])
@@ -304,7 +300,7 @@ def _curve(element: bytes) -> Curve:
         if form in (1, 2):  # the power from x = -b / a on, a constant (c, or 0) below
             e = f = c if form == 2 else 0.0
             c, d = 0.0, -b / a if a else 0.0
-        return Curve((g, a, b, c, d, e, f))
+        return TransferCurve((g, a, b, c, d, e, f))
     if kind != b"curv":
         raise ValueError(f"curve of type {kind!r}")
     (count,) = struct.unpack(">I", element[8:12])
@@ -313,7 +309,11 @@ def _curve(element: bytes) -> Curve:
     steps = np.frombuffer(element[12 : 12 + 2 * count], ">u2")
     if len(steps) != count:
         raise ValueError("curve cut off")
-    return Curve((float(steps[0]) / 256, *LINEAR.formula[1:])) if count == 1 else Curve(table=_resampled(steps / 65535))
+    return (
+        TransferCurve((float(steps[0]) / 256, *LINEAR.formula[1:]))
+        if count == 1
+        else TransferCurve(table=_resample(steps / 65535))
+    )
 
 
 def _description(element: bytes) -> str:

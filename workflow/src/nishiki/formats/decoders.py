@@ -29,7 +29,7 @@ from nishiki.formats.picture_files import (
     match_channels,
     positive_number,
     quiet_tifffile,
-    unsupported,
+    unsupported_error,
 )
 from nishiki.formats.problems import CaptureError, error
 from nishiki.installation import install_command
@@ -60,13 +60,13 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
     model = int(first.photometric)
     if model in OTHER_MODELS or (model == YCBCR and int(first.compression) not in BY_JPEG):
         found = OTHER_MODELS.get(model, "YCbCr")
-        raise unsupported(name, found, MODEL_REMEDY.get(found, AS_RGB))
+        raise unsupported_error(name, found, MODEL_REMEDY.get(found, AS_RGB))
     if model == WHITE_IS_ZERO and sample == "float32":
-        raise unsupported(name, "WhiteIsZero in floating point", "Save it as BlackIsZero")
+        raise unsupported_error(name, "WhiteIsZero in floating point", "Save it as BlackIsZero")
     shapes = {(page.imagelength, page.imagewidth, page.samplesperpixel, page.dtype) for page in pages}
     if len(shapes) > 1 or (len(pages) > 1 and first.samplesperpixel > 1):
         found = f"{len(pages)} pages of {' and '.join(sorted(str(shape[:3]) for shape in shapes))} samples"
-        raise unsupported(name, found, "Keep the page of the photograph alone; bands are pages of one channel")
+        raise unsupported_error(name, found, "Keep the page of the photograph alone; bands are pages of one channel")
     samples = 3 if model == PALETTE else first.samplesperpixel
     extra = tuple(int(kind) for kind in first.extrasamples)
     alpha = bool(extra) and samples in (2, 4) and extra[-1] in (ASSOCIATED, UNASSOCIATED)
@@ -99,7 +99,7 @@ def open_tiff(file: BinaryIO, name: str) -> Picture:
     table, depth = first.tags.valueof(301), first.bitspersample  # TransferFunction
     stated = isinstance(table, (tuple, np.ndarray)) and depth <= 16
     coding = transfer_function(tuple(table), depth) if stated else None
-    return Picture(header, decode, first.iccprofile or b"").coded(coding)
+    return Picture(header, decode, first.iccprofile or b"").with_coding(coding)
 
 
 def _full_pages(tiff: tifffile.TiffFile) -> list[tifffile.TiffPage]:
@@ -147,7 +147,7 @@ def _sample(page: tifffile.TiffPage, name: str) -> tuple[Sample, int | None]:
     if form != 1 or not 1 <= bits <= 16:
         kind = {1: "unsigned", 2: "signed", 3: "floating-point"}.get(form, "complex")
         remedy = "Save it with unsigned 8 or 16 bits, or as 32-bit floating point"
-        raise unsupported(name, f"{kind} samples of {bits} bits", remedy)
+        raise unsupported_error(name, f"{kind} samples of {bits} bits", remedy)
     return ("uint16", None if bits == 16 else bits) if bits > 8 else ("uint8", None)
 
 
@@ -234,7 +234,7 @@ def open_exr(file: BinaryIO, name: str) -> Picture:
         channel for channel in present if light and channel.base == "A" and layers == {(channel.part, channel.layer)}
     ]
     if not channels:
-        raise unsupported(name, "chroma sub-sampled or no channels of light", "Save it with channels R, G and B")
+        raise unsupported_error(name, "chroma sub-sampled or no channels of light", "Save it with channels R, G and B")
     window = _window(headers[0]["displayWindow"] if "displayWindow" in headers[0] else headers[0]["dataWindow"])
     stored = [window[2] * window[3] * len(each["channels"]) for window, each in zip(windows, headers, strict=True)]
     if sum(stored[1:]) > 8 * max(stored[0], 1):

@@ -69,7 +69,7 @@ BOUNDS = MappingProxyType(
 
 def bound(name: str) -> int:
     """Return the bound of this kind. UserError where NISHIKI_BOUNDS is invalid."""
-    value = _raised(os.environ.get(VARIABLE, "")).get(name, BOUNDS[name].value)
+    value = _read_limits(os.environ.get(VARIABLE, "")).get(name, BOUNDS[name].value)
     return value or machine_memory() * 3 // 4
 
 
@@ -86,7 +86,7 @@ def machine_memory() -> int:
 
 
 @cache
-def _raised(text: str) -> dict[str, int]:
+def _read_limits(text: str) -> dict[str, int]:
     bounds = {}
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, _, value = (word.strip() for word in part.partition("="))

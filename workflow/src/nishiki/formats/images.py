@@ -155,4 +155,4 @@ def read_coarse(path: Path, encoding: str | None = None) -> np.ndarray:
     scale = min(COARSE / max(header.rows, header.columns), 1.0)
     size = max(round(header.columns * scale), 1), max(round(header.rows * scale), 1)
     small = cv2.resize(codes.astype(np.float32) / np.float32(top), size, interpolation=cv2.INTER_AREA)
-    return header.coding_used(encoding or "file").curve.decode(small.reshape(size[1], size[0], -1).mean(axis=2))
+    return header.choose_coding(encoding or "file").curve.decode(small.reshape(size[1], size[0], -1).mean(axis=2))

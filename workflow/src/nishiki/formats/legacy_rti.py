@@ -135,7 +135,7 @@ class PtmFile:
         """Rows and columns."""
         return self.terms.shape[1], self.terms.shape[2]
 
-    def shown(self, light: np.ndarray) -> np.ndarray:
+    def relight(self, light: np.ndarray) -> np.ndarray:
         """Render (rows, columns, 3) float32 from the top for a unit lamp vector; full brightness is 1, not clipped."""
         u, v, _ = light
         weights = np.array([u * u, v * v, u * v, u, v, 1.0]) * self.scale / 255
@@ -166,7 +166,7 @@ def open_ptm(path: Path) -> PtmFile:
     stored = np.memmap(path, np.uint8, "r", offset=heading.data(count), shape=(count,))
     if streams:
         expect_memory(3 * rows * columns * PLANES[layout], path.name)
-        planes = streams.decoded(stored, rows, columns, path.name)
+        planes = streams.decode(stored, rows, columns, path.name)
         if layout == "PTM_FORMAT_JPEG_RGB":
             return PtmFile(layout, np.moveaxis(planes.reshape(3, 6, rows, columns), 1, -1), None, scale, bias)
         planes = np.moveaxis(planes, 0, -1)
@@ -259,7 +259,7 @@ class PtmStreams:
         """Size in bytes of all streams and their corrections."""
         return sum(self.sizes) + sum(self.corrections)
 
-    def decoded(self, stored: np.ndarray, rows: int, columns: int, name: str) -> np.ndarray:
+    def decode(self, stored: np.ndarray, rows: int, columns: int, name: str) -> np.ndarray:
         """Decode (streams, rows, columns) uint8 from the bytes after the heading. Refused where a stream is damaged."""
         planes = np.empty((len(self.sizes), rows, columns), np.uint8)
         lengths = [length for pair in zip(self.sizes, self.corrections, strict=True) for length in pair]
@@ -313,7 +313,7 @@ class HshFile:
         """Rows and columns."""
         return self.terms.shape[0], self.terms.shape[1]
 
-    def shown(self, light: np.ndarray) -> np.ndarray:
+    def relight(self, light: np.ndarray) -> np.ndarray:
         """Render (rows, columns, 3) float32 from the top for a unit lamp vector; full brightness is 1, not clipped."""
         (harmonics,) = hemispherical_harmonics(np.asarray(light, float)[None], math.isqrt(len(self.scale)))
         weights, offset = (harmonics * self.scale / 255).astype(np.float32), np.float32(harmonics @ self.bias)

@@ -235,15 +235,6 @@ def _distinct_values(values: np.ndarray) -> list[float]:
     return np.flatnonzero(counts).astype(float).tolist()
 
 
-def _lies_on_outline(pixels: np.ndarray, inside: np.ndarray) -> bool:
-    """Decide whether nearly all these pixels lie within two pixels of an outline, both (rows, columns) bool."""
-    import cv2
-
-    square, mask = np.ones((5, 5), np.uint8), inside.astype(np.uint8)
-    away = pixels & (cv2.erode(mask, square) == cv2.dilate(mask, square))
-    return bool(away.sum() <= STRAY * pixels.sum())
-
-
 def _cut_values(values: np.ndarray, name: str) -> tuple[np.ndarray, list[Problem]]:
     """Select pixels from the middle of the range up (rows, columns) bool; warn where values other than two occur.
 
@@ -263,7 +254,11 @@ def _cut_values(values: np.ndarray, name: str) -> tuple[np.ndarray, list[Problem
         reach = (high - low) / 4
         other = (values != low) & (values != high)
         unsure = ((values > low + reach) & (values < high - reach)).mean()
-        if numbered or not _lies_on_outline(other, inside):
+        import cv2
+
+        square, mask = np.ones((5, 5), np.uint8), inside.astype(np.uint8)
+        away = other & (cv2.erode(mask, square) == cv2.dilate(mask, square))  # from the outline by two pixels or more
+        if numbered or away.sum() > STRAY * other.sum():
             share = f"{100 * other.mean():.1f} % of the pixels are neither {low:g} nor {high:g}"
             facts.append(f"{len(levels)} values: {share}, {100 * unsure:.1f} % are nearer the middle than to either")
     elif len(levels) == 2 and high - low < FAINT * high:

@@ -13,8 +13,8 @@ from nishiki.formats.coding import (
     ROMM,
     Coding,
     RgbSpace,
+    choose_coding,
     coding_from,
-    coding_used,
     exif_coding,
     icc_coding,
     icc_profile,
@@ -174,9 +174,9 @@ class ImageHeader:
     coding: Coding | None = None  # None where the file states none
     exif: Exif = NO_EXIF  # facts of the camera
 
-    def coding_used(self, encoding: str) -> Coding:
-        """Choose the coding that converts its codes to light; see `nishiki.formats.coding.coding_used`."""
-        return coding_used(self.kind, self.coding, encoding)
+    def choose_coding(self, encoding: str) -> Coding:
+        """Choose the coding that converts its codes to light; see `nishiki.formats.coding.choose_coding`."""
+        return choose_coding(self.kind, self.coding, encoding)
 
     @property
     def decoded_bytes(self) -> int:
@@ -218,7 +218,7 @@ class Picture:
     decode: Callable[[Wanted, Output], np.ndarray]
     profile: bytes = b""
 
-    def coded(self, coding: Coding | None = None) -> "Picture":
+    def with_coding(self, coding: Coding | None = None) -> "Picture":
         """Return this picture with the coding of its profile, else the given one, else that of its Exif block."""
         coding = icc_coding(self.profile) if self.profile else coding or exif_coding(self.header.exif.colour_space)
         if coding is None or not coding.developed:
@@ -230,7 +230,7 @@ class Picture:
         return Picture(header, lambda wanted, output: _develop(self, wanted, output), self.profile)
 
 
-def unsupported(name: str, found: str, remedy: str = AS_RGB) -> CaptureError:
+def unsupported_error(name: str, found: str, remedy: str = AS_RGB) -> CaptureError:
     """Make the error for a valid picture of an unsupported kind."""
     what = "a kind of picture that is not read"
     return CaptureError(error("image-unsupported", name, what, found=found, remedy=remedy))
@@ -288,7 +288,7 @@ def open_png(file: BinaryIO) -> Picture:
         imagecodecs.png_decode(file.read(), out=out if header.channels > 1 else out[:, :, 0])
         return out
 
-    return Picture(header, decode).coded(png_coding(chunks, exif_coding(exif.colour_space)))
+    return Picture(header, decode).with_coding(png_coding(chunks, exif_coding(exif.colour_space)))
 
 
 def open_jpeg(file: BinaryIO, name: str) -> Picture:
@@ -308,9 +308,11 @@ def open_jpeg(file: BinaryIO, name: str) -> Picture:
     if not channels or not end:
         raise EOFError("JPEG without a scan" if channels else "no start of frame")
     if channels == 4:
-        raise unsupported(name, "CMYK", "Save it as RGB: CMYK is for printing")
+        raise unsupported_error(name, "CMYK", "Save it as RGB: CMYK is for printing")
     if depth != 8 or channels not in (1, 3):
-        raise unsupported(name, f"JPEG of {depth} bits and {channels} channels", "Save it as 8-bit RGB or as TIFF")
+        raise unsupported_error(
+            name, f"JPEG of {depth} bits and {channels} channels", "Save it as 8-bit RGB or as TIFF"
+        )
     expect_end(file, end, b"\xff\xd9", "JPEG")
     header = ImageHeader(
         "jpeg", rows, columns, channels, "uint8", stored_bytes=rows * columns * channels, ratio=MOST_RATIO,
@@ -331,7 +333,7 @@ def open_jpeg(file: BinaryIO, name: str) -> Picture:
         )
         return out
 
-    return Picture(header, decode, b"".join(parts[i] for i in sorted(parts))).coded()
+    return Picture(header, decode, b"".join(parts[i] for i in sorted(parts))).with_coding()
 
 
 def expect_end(file: BinaryIO, start: int, mark: bytes, form: str) -> None:

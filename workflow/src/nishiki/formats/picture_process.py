@@ -283,13 +283,13 @@ def stored_numbers(file: BinaryIO, names: Sequence[str]) -> dict[str, tuple[tupl
         left -= sum(cell.size for cell in cells)
         if left < 0 or any(cell.dtype.kind not in "fiu" for cell in cells):
             raise ValueError(f"{name!r} holds no numbers, or more than {MOST_NUMBERS}")
-        content[name] = _shaped(stored[name])
+        content[name] = _describe_array(stored[name])
     return content
 
 
-def _shaped(array: np.ndarray) -> tuple[tuple[int, ...], list]:
+def _describe_array(array: np.ndarray) -> tuple[tuple[int, ...], list]:
     values = array.ravel(order="F")
-    return array.shape, [_shaped(cell) for cell in values] if array.dtype == object else values.tolist()
+    return array.shape, [_describe_array(cell) for cell in values] if array.dtype == object else values.tolist()
 
 
 def _array(shape: list[int], values: list[Any]) -> np.ndarray:

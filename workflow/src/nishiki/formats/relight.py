@@ -65,7 +65,7 @@ class RelightFolder:
         """Rows and columns."""
         return self.codes.shape[0], self.codes.shape[1]
 
-    def shown(self, light: np.ndarray) -> np.ndarray:
+    def relight(self, light: np.ndarray) -> np.ndarray:
         """Render (rows, columns, 3) float32 from the top for a unit lamp vector; full brightness is 1, not clipped."""
         light = np.asarray(light, float)
         picture = np.empty((*self.shape, 3), np.float32)

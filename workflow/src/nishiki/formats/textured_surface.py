@@ -400,6 +400,6 @@ def sample(texture: np.ndarray, places: np.ndarray) -> np.ndarray:
     return np.stack([look_up(channel) for channel in np.moveaxis(texture, -1, 0)], axis=1)
 
 
-def coded(values: np.ndarray) -> np.ndarray:
+def quantise(values: np.ndarray) -> np.ndarray:
     """Quantise values in 0 to 1 to eight bits."""
     return np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8)

@@ -82,24 +82,18 @@ def detect_boards(pictures: Iterable[tuple[str, np.ndarray]], shape: BoardShape)
         names.append(name)
         image = np.ascontiguousarray(image, np.uint8)
         for place, (board, detector) in enumerate(zip(boards, detectors, strict=True)):
-            corners = _corners(name, image, board, detector)
-            if corners is not None:
-                detected[place].append(corners)
+            pixels, ids, _, _ = detector.detectBoard(image)
+            if ids is None or len(ids) < LEAST_CORNERS:
+                continue
+            order = np.argsort(ids := np.asarray(ids).ravel())
+            points = np.asarray(board.getChessboardCorners(), np.float64)[ids[order]]
+            pixels = np.asarray(pixels, np.float64).reshape(-1, 2)[order]
+            detected[place].append(BoardCorners(name, ids[order], pixels, points))
     counts = [sum(len(corners.ids) for corners in each) for each in detected]
     legacy = counts[1] > counts[0]
     seen = detected[legacy]
     known = {corners.name for corners in seen}
     return Detection(tuple(seen), tuple(name for name in names if name not in known), bool(legacy))
-
-
-def _corners(name: str, image: np.ndarray, board, detector) -> BoardCorners | None:
-    pixels, ids, _, _ = detector.detectBoard(image)
-    if ids is None or len(ids) < LEAST_CORNERS:
-        return None
-    ids = np.asarray(ids).ravel()
-    order = np.argsort(ids)
-    points = np.asarray(board.getChessboardCorners(), np.float64)[ids[order]]
-    return BoardCorners(name, ids[order], np.asarray(pixels, np.float64).reshape(-1, 2)[order], points)
 
 
 LEAST_PICTURES = 3  # of a calibration
@@ -111,7 +105,7 @@ STARTS = (0.8, 1.5, 3.0, 8.0)  # focal lengths, of the picture's longer side
 
 
 @dataclass(frozen=True)
-class Calibration(PlainFields):
+class LensCalibration(PlainFields):
     """A calibrated lens: intrinsics (3, 3) float64, distortion k1, k2, p1, p2, k3 (Brown's model)."""
 
     intrinsics: np.ndarray
@@ -127,7 +121,7 @@ class Calibration(PlainFields):
 
 def calibrate(
     pictures: tuple[BoardCorners, ...], *, rows: int, columns: int, distortion: str = "tangential"
-) -> Calibration:
+) -> LensCalibration:
     """Fit the lens by least squares over all corners (Zhang, IEEE Trans. PAMI 22, 2000, as in OpenCV).
 
     distortion: terms fitted: none | radial (k1, k2) | tangential (k1, k2, p1, p2) | full (and k3). A picture whose
@@ -177,7 +171,7 @@ def calibrate(
     return replace(fit, picture_px=errors, outliers=tuple(each.name for each in outliers), sparse=sparse)
 
 
-def _fit(pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> Calibration:
+def _fit(pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> LensCalibration:
     """Fit from several focal lengths, since OpenCV's own start diverges where boards are tilted little."""
     import cv2
 
@@ -199,7 +193,9 @@ def _fit(pictures: list[BoardCorners], rows: int, columns: int, distortion: str)
     return min(fits, key=lambda fit: fit.rms_px)
 
 
-def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, columns: int, distortion: str) -> Calibration:
+def _fit_from(
+    start: np.ndarray, pictures: list[BoardCorners], rows: int, columns: int, distortion: str
+) -> LensCalibration:
     import cv2
 
     flags = {
@@ -220,7 +216,7 @@ def _fit_from(start: np.ndarray, pictures: list[BoardCorners], rows: int, column
     sigma, fitted = np.asarray(sigma).ravel(), np.asarray(coefficients).ravel()[:5]
     normals = np.array([cv2.Rodrigues(turn)[0][:, 2] for turn in turns])
     finite = np.isfinite(matrix).all() and np.isfinite(fitted).all() and np.isfinite(sigma[:4]).all()
-    return Calibration(
+    return LensCalibration(
         matrix,
         tuple(fitted.tolist()),
         float(rms) if finite else float("inf"),

@@ -7,7 +7,7 @@ import numpy as np
 from nishiki.formats.stored import PlainFields
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors, row_numbers
-from nishiki.geometry.surface import compacted, parts_of
+from nishiki.geometry.surface import compact, parts_of
 from nishiki.geometry.visibility import rasterise
 
 
@@ -46,14 +46,14 @@ def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] 
     triangles, degenerate = without_degenerate(vertices, triangles)
     _, first = np.unique(row_numbers(np.sort(triangles, axis=1)), return_index=True)  # whatever their vertices' order
     triangles, duplicates = triangles[np.sort(first)], len(triangles) - len(first)
-    triangles, crowded_edges, crowded = without_crowded(vertices, triangles)
+    triangles, crowded_edges, crowded = remove_crowded(vertices, triangles)
     if not len(triangles):
         raise ValueError("no triangle with an area is left")
     triangles, turned = turned_alike(triangles)
     vertices, triangles, split = split_touching(vertices, triangles)
     triangles, turned_parts = outwards(vertices, triangles, cameras or [])
     defects = Defects(merged, degenerate, duplicates, crowded_edges, crowded, split, turned, turned_parts, unreferenced)
-    return compacted(vertices, triangles), defects
+    return compact(vertices, triangles), defects
 
 
 def merge_equal(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
@@ -85,7 +85,7 @@ def without_degenerate(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.
     return triangles[sound], int((~sound).sum())
 
 
-def without_crowded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int, int]:
+def remove_crowded(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int, int]:
     """Keep the larger triangles so that no edge has more than two; also count those edges and the triangles removed."""
     edges, owners, counts = _edges(triangles)
     crowded = int((counts > 2).sum())

@@ -17,7 +17,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.hull import Field, bounding_box, field_of, sight_rays
+from nishiki.geometry.hull import SilhouetteField, bounding_box, field_of, sight_rays
 from nishiki.geometry.hull_kernels import trace_rays
 from nishiki.geometry.placement import shrink
 from nishiki.geometry.turn import scale_turn
@@ -71,7 +71,7 @@ class Coherence:
 
 
 @dataclass(frozen=True)
-class Trial:
+class Attempt:
     """A correction to try."""
 
     correction: Correction
@@ -102,8 +102,9 @@ def measure_coherence(silhouettes: list[np.ndarray], cameras: list[Camera], *, m
             return replace(found, correction=Correction("silhouette-inverted", views=tuple(inverted)), corrected=share)
     if found.contradiction <= NOTICEABLE and max(found.by_view) <= NOTICEABLE_VIEW:
         return found
-    of_size = partial(_scaled, kind="camera-scale", factors=SCALES, columns=3)  # cameras of pictures of another size
-    of_focal_length = partial(_scaled, kind="focal-length", factors=FOCAL_FACTORS, columns=2)
+    # cameras of pictures of another size, or of another zoom
+    of_size = partial(_scale_intrinsics, kind="camera-scale", factors=SCALES, columns=3)
+    of_focal_length = partial(_scale_intrinsics, kind="focal-length", factors=FOCAL_FACTORS, columns=2)
     of_all = (_reversals, _orders, _exchanges, _mirrors, of_size, _steps, of_focal_length, _odd_views)
     least = np.inf
     strict = Outlines(outlines.masks, outlines.cameras, 0) if misses else outlines
@@ -132,7 +133,7 @@ class Outlines:
     def __init__(self, masks: list[np.ndarray], cameras: list[Camera], misses: int):
         self.masks, self.cameras, self.misses = masks, cameras, misses
         self.pixels = [_outline_pixels(mask) for mask in masks]
-        self.fields: Field = field_of(masks, cameras)
+        self.fields: SilhouetteField = field_of(masks, cameras)
         self.size = float(np.median([np.sqrt(mask.sum()) for mask in masks]))
         together = np.logical_or.reduce(masks)
         spans = [np.flatnonzero(together.any(axis=axis))[[0, -1]] for axis in (1, 0)]
@@ -158,7 +159,7 @@ class Outlines:
         if ball is None:
             return np.isin(np.arange(len(cameras)), used).astype(float)
         middle, radius = ball
-        geometry = Field.geometry_of([cameras[i] for i in used])
+        geometry = SilhouetteField.geometry_of([cameras[i] for i in used])
         views, origins, directions = [], [], []
         for place, i in enumerate(used):
             pixels = self.pixels[order[i]]
@@ -195,13 +196,13 @@ class Outlines:
             return None
         return box.mean(axis=0), float(np.linalg.norm(box[1] - box[0]) / 2)
 
-    def contradiction(self, trial: Trial, rays: int = RAYS) -> float:
+    def contradiction(self, trial: Attempt, rays: int = RAYS) -> float:
         """Average `miss_shares` over the views that take part."""
         shares = self.miss_shares(trial.order, trial.cameras, without=trial.without, rays=rays)
         return float(shares.sum() / (len(shares) - len(trial.without)))
 
 
-def _best_trial(outlines: Outlines, trials: list[Trial]) -> tuple[Trial | None, float]:
+def _best_trial(outlines: Outlines, trials: list[Attempt]) -> tuple[Attempt | None, float]:
     """Return the trial with the least contradiction, the first of equals; the best two are fully traced."""
     if len(trials) > 2:
         screened = [outlines.contradiction(trial, SCREENING_RAYS) for trial in trials]
@@ -211,10 +212,10 @@ def _best_trial(outlines: Outlines, trials: list[Trial]) -> tuple[Trial | None, 
     return (trials[best], shares[best] - EQUAL * best) if shares else (None, np.inf)
 
 
-def _reversals(outlines: Outlines) -> list[Trial]:
+def _reversals(outlines: Outlines) -> list[Attempt]:
     """Try the object turned the other way."""
     cameras = _scale_turn(outlines.cameras, -1.0)
-    return [Trial(Correction("turn-reversed"), cameras=cameras)] if cameras else []
+    return [Attempt(Correction("turn-reversed"), cameras=cameras)] if cameras else []
 
 
 def _scale_turn(cameras: list[Camera], factor: float) -> list[Camera] | None:
@@ -229,33 +230,33 @@ def _scale_turn(cameras: list[Camera], factor: float) -> list[Camera] | None:
     return [replace(new, distortion=camera.distortion) for new, camera in zip(rebuilt, cameras, strict=True)]
 
 
-def _orders(outlines: Outlines) -> list[Trial]:
+def _orders(outlines: Outlines) -> list[Attempt]:
     """List trials of photographs in another order than the cameras: backwards, sorted as text, begun elsewhere."""
     places = list(range(len(outlines.cameras)))
     as_text = [[place for _, place in sorted((str(place + first), place) for place in places)] for first in (0, 1)]
     orders = [places[::-1], *as_text, *(np.argsort(order).tolist() for order in as_text)]
     orders += [each[k:] + each[:k] for k in places[1:] for each in (places, places[::-1])]
     distinct = dict.fromkeys(tuple(order) for order in orders if order != places)
-    return [Trial(Correction("cameras-order", order=tuple(np.argsort(o).tolist())), o) for o in distinct]
+    return [Attempt(Correction("cameras-order", order=tuple(np.argsort(o).tolist())), o) for o in distinct]
 
 
-def _exchanges(outlines: Outlines) -> list[Trial]:
+def _exchanges(outlines: Outlines) -> list[Attempt]:
     """List trials of two views exchanged: neighbours, and pairs of the views without which the others agree best."""
     count = len(outlines.cameras)
-    alone = [outlines.contradiction(Trial(Correction(""), without=(i,)), SCREENING_RAYS) for i in range(count)]
+    alone = [outlines.contradiction(Attempt(Correction(""), without=(i,)), SCREENING_RAYS) for i in range(count)]
     likely = sorted(np.argsort(alone, kind="stable")[:LIKELY].tolist())
     trials = []
     for first, second in dict.fromkeys([*combinations(likely, 2), *pairwise(range(count))]):
         order = list(range(count))
         order[first], order[second] = second, first
-        trials.append(Trial(Correction("views-exchanged", order=tuple(order), views=(first, second)), tuple(order)))
+        trials.append(Attempt(Correction("views-exchanged", order=tuple(order), views=(first, second)), tuple(order)))
     return trials
 
 
-def _mirrors(outlines: Outlines) -> list[Trial]:
+def _mirrors(outlines: Outlines) -> list[Attempt]:
     """List trials of all pictures mirrored, or turned by half a turn."""
     return [
-        Trial(Correction("pictures-mirrored", detail), cameras=[_mirror(camera, axes) for camera in outlines.cameras])
+        Attempt(Correction("pictures-mirrored", detail), cameras=[_mirror(camera, axes) for camera in outlines.cameras])
         for detail, axes in (("left to right", (0,)), ("top to bottom", (1,)), ("turned by half a turn", (0, 1)))
     ]
 
@@ -268,35 +269,35 @@ def _mirror(camera: Camera, axes: tuple[int, ...]) -> Camera:
     return replace(camera, intrinsics=k)
 
 
-def _scaled(outlines: Outlines, kind: str, factors: Sequence[float], columns: int) -> list[Trial]:
+def _scale_intrinsics(outlines: Outlines, kind: str, factors: Sequence[float], columns: int) -> list[Attempt]:
     """Multiply the first columns of the first two rows of the intrinsics by each factor."""
     trials = []
     for factor in factors:
         scale = np.ones((3, 3))
         scale[:2, :columns] = factor
         cameras = [replace(camera, intrinsics=camera.intrinsics * scale) for camera in outlines.cameras]
-        trials.append(Trial(Correction(kind, f"{factor:.3g}"), cameras=cameras))
+        trials.append(Attempt(Correction(kind, f"{factor:.3g}"), cameras=cameras))
     return trials
 
 
-def _steps(outlines: Outlines) -> list[Trial]:
+def _steps(outlines: Outlines) -> list[Attempt]:
     """Try other steps of the turn than those of the cameras."""
     count = len(outlines.cameras)
     factors = (count / (count - 1), (count - 1) / count, (count + 1) / count, count / (count + 1), 0.5, 2.0)
     moved = [(f"{f:.4g}", _scale_turn(outlines.cameras, f)) for f in (*factors, *(-f for f in factors))]
-    return [Trial(Correction("turn-angles", detail), cameras=cameras) for detail, cameras in moved if cameras]
+    return [Attempt(Correction("turn-angles", detail), cameras=cameras) for detail, cameras in moved if cameras]
 
 
-def _odd_views(outlines: Outlines) -> list[Trial]:
+def _odd_views(outlines: Outlines) -> list[Attempt]:
     """Try to leave out views one after the other, a sixth of all at most, until the others agree."""
     count, left = len(outlines.cameras), ()
     for _ in range(max(1, count // 6) if count > 3 else 0):
-        longer = [Trial(Correction("view-contradicts"), without=(*left, i)) for i in range(count) if i not in left]
+        longer = [Attempt(Correction("view-contradicts"), without=(*left, i)) for i in range(count) if i not in left]
         shares = [outlines.contradiction(trial, SCREENING_RAYS) for trial in longer]
         left = longer[int(np.argmin(shares))].without
         if min(shares) < outlines.enough:
             break
-    return [Trial(Correction("view-contradicts", views=tuple(sorted(left))), without=left)] if left else []
+    return [Attempt(Correction("view-contradicts", views=tuple(sorted(left))), without=left)] if left else []
 
 
 def _outline_pixels(mask: np.ndarray) -> np.ndarray:

@@ -21,8 +21,8 @@ import numpy as np
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.surface import linked
-from nishiki.geometry.turn import scaled
+from nishiki.geometry.surface import vertex_adjacency
+from nishiki.geometry.turn import scale_camera
 from nishiki.geometry.visibility import interpolate, rasterise
 
 RELATIVE_ERROR, ERROR = 0.02, 0.005
@@ -55,7 +55,7 @@ five times the triangles."""
 
 
 @dataclass(frozen=True)
-class Photographed:
+class ShadingPhotographs:
     """Photographs of an object for `residuals`."""
 
     # (views, rows, columns, channels) float32, linear, 1 where the object is bright; cameras at that size
@@ -64,22 +64,24 @@ class Photographed:
     silhouettes: np.ndarray  # (views, rows, columns) bool
 
     @classmethod
-    def of(cls, pictures: Iterable[np.ndarray], silhouettes: list[np.ndarray], cameras: list[Camera]) -> "Photographed":
+    def of(
+        cls, pictures: Iterable[np.ndarray], silhouettes: list[np.ndarray], cameras: list[Camera]
+    ) -> "ShadingPhotographs":
         """Prepare linear pictures (rows, columns, channels), silhouettes (rows, columns) bool, at the cameras' size."""
         import cv2
 
         area = np.mean([silhouette.sum() for silhouette in silhouettes])
-        small = [scaled(camera, 1 / max(1, round(np.sqrt(area) / FINEST_SIZE_PX))) for camera in cameras]
+        small = [scale_camera(camera, 1 / max(1, round(np.sqrt(area) / FINEST_SIZE_PX))) for camera in cameras]
         size = small[0].columns, small[0].rows
 
         def shrunk(values: np.ndarray) -> np.ndarray:
             return cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
-        def of_three_channels(picture: np.ndarray) -> np.ndarray:
+        def to_three_channels(picture: np.ndarray) -> np.ndarray:
             groups = np.array_split(picture, min(3, picture.shape[2]), axis=2)
             return np.stack([shrunk(group.mean(axis=2)) for group in groups], axis=-1)
 
-        values = np.stack([of_three_channels(picture) for picture in pictures])
+        values = np.stack([to_three_channels(picture) for picture in pictures])
         shown = np.stack([shrunk(silhouette) >= 0.5 for silhouette in silhouettes])
         bright = float(np.percentile(values[shown], 98))
         return cls(values / np.float32(max(bright, 1e-9)), small, shown)
@@ -127,7 +129,7 @@ class Photographed:
         return np.where(seen.sum(axis=1) >= FEWEST_VIEWS, matt_residuals(values[place], towards, seen), -1.0)
 
 
-def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: Photographed) -> tuple[Mesh, list[dict]]:
+def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: ShadingPhotographs) -> tuple[Mesh, list[dict]]:
     """Sink the hollows of a mesh; return it and the figures of each hollow.
 
     The figures are depth and steepness, direction, residual before and after.
@@ -151,7 +153,7 @@ def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: Photographed) -> tuple[
     return Mesh.of(mesh.vertices + shift, mesh.triangles), figures
 
 
-def contradicted_regions(mesh: Mesh, photographed: Photographed) -> list[list[np.ndarray]]:
+def contradicted_regions(mesh: Mesh, photographed: ShadingPhotographs) -> list[list[np.ndarray]]:
     """List vertices (v,) bool of each large region where no matt point fits the photographs, the largest first.
 
     Each as several candidates, one for each of WIDTHS, the narrowest first.
@@ -167,13 +169,13 @@ def contradicted_regions(mesh: Mesh, photographed: Photographed) -> list[list[np
         total, count = near @ total, near @ count
     mean = np.where(count > 0.3, total / np.maximum(count, 1e-12), 0.0)
     limit = max(CONTRADICTED, OF_LOWER_QUARTILE * float(np.percentile(values[seen], 25)))
-    parts = connected(mean > limit, near)
+    parts = list_parts(mean > limit, near)
     large = [part for part in parts if part.sum() >= SMALLEST_REGION * len(mesh.vertices)]
-    wider = [connected(mean > width * limit, near) for width in WIDTHS]
-    return [[closed(part, near) for among in wider for part in among if part[np.argmax(core)]] for core in large]
+    wider = [list_parts(mean > width * limit, near) for width in WIDTHS]
+    return [[close_region(part, near) for among in wider for part in among if part[np.argmax(core)]] for core in large]
 
 
-def connected(vertices: np.ndarray, near) -> list[np.ndarray]:
+def list_parts(vertices: np.ndarray, near) -> list[np.ndarray]:
     """List the connected parts (v,) bool of some vertices, the largest first."""
     from scipy.sparse import diags
     from scipy.sparse.csgraph import connected_components
@@ -189,11 +191,11 @@ def neighbourhoods(mesh: Mesh):
     """Make the matrix (v, v), sparse, that averages each vertex and its neighbours."""
     from scipy.sparse import diags_array, eye_array
 
-    joined = linked(mesh) + eye_array(len(mesh.vertices))
+    joined = vertex_adjacency(mesh) + eye_array(len(mesh.vertices))
     return (diags_array(1 / joined.sum(axis=1)) @ joined).tocsr()
 
 
-def closed(region: np.ndarray, near, rounds: int = 6, rim: int = 2) -> np.ndarray:
+def close_region(region: np.ndarray, near, rounds: int = 6, rim: int = 2) -> np.ndarray:
     """Close small holes and bays of a region, and remove the rim that its patches share with sound surface."""
     for _ in range(rounds):
         region = near @ region > 0
@@ -237,7 +239,7 @@ class Hollow:
         return Mesh.of(mesh.vertices + shift, mesh.triangles)
 
 
-def sink(mesh: Mesh, regions: list[np.ndarray], photographed: Photographed) -> tuple[Mesh, list[dict]]:
+def sink(mesh: Mesh, regions: list[np.ndarray], photographed: ShadingPhotographs) -> tuple[Mesh, list[dict]]:
     """Sink the candidate region that lowers the residual most, as deep as the photographs support.
 
     Return the mesh and its figures; no figures where nothing is gained.
@@ -267,7 +269,7 @@ def sink(mesh: Mesh, regions: list[np.ndarray], photographed: Photographed) -> t
 class Shown:
     """A mesh drawn in all views while only a region (v,) bool of it moves; the rest is drawn once."""
 
-    def __init__(self, mesh: Mesh, region: np.ndarray, photographed: Photographed):
+    def __init__(self, mesh: Mesh, region: np.ndarray, photographed: ShadingPhotographs):
         self.photographed, self.triangles = photographed, mesh.triangles
         touched = region[mesh.triangles].any(axis=1)
         self.moving, self.used = np.flatnonzero(touched), np.unique(mesh.triangles[touched])

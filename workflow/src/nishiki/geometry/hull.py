@@ -28,7 +28,7 @@ MARGIN_PX = 3
 
 
 @dataclass(frozen=True)
-class Field:
+class SilhouetteField:
     """Silhouettes of several views as signed distances, laid out as in `nishiki.geometry.hull_kernels`."""
 
     poses: np.ndarray
@@ -75,7 +75,9 @@ def signed_distance(silhouette: np.ndarray) -> np.ndarray:
     return cv2.GaussianBlur(distance, (0, 0), SMOOTHING_PX)
 
 
-def field_of(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera], *, finest_px: float = 0.0) -> Field:
+def field_of(
+    silhouettes: Sequence[np.ndarray | None], cameras: list[Camera], *, finest_px: float = 0.0
+) -> SilhouetteField:
     """Make distance maps of the views that have a silhouette (None: none known there).
 
     finest_px: detail that nobody will ask for, pixels; larger pictures are kept at a coarser stride. Raises UserError
@@ -97,7 +99,7 @@ def field_of(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera], *,
         start += distance.size
         placed.append(camera)
     _expect_two(len(placed))
-    return Field(*Field.geometry_of(placed), np.array(frames, np.int64), np.concatenate(maps))
+    return SilhouetteField(*SilhouetteField.geometry_of(placed), np.array(frames, np.int64), np.concatenate(maps))
 
 
 def _expect_two(count: int) -> None:
@@ -153,17 +155,17 @@ def _extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.nda
     The solver's tolerance is absolute: solved again in units of the box that was found, which can be small beside the
     cameras' distance.
     """
-    box = _solved(planes, middle, size)
+    box = _solve_extent(planes, middle, size)
     for _ in range(2):
         half = float((box[1] - box[0]).max()) / 2
         if half > 0.1 * size:
             break
         middle, size = box.mean(axis=0), max(half, 1e-9 * size)
-        box = _solved(planes, middle, size)
+        box = _solve_extent(planes, middle, size)
     return box
 
 
-def _solved(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:
+def _solve_extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:
     """Solve for the extent (2, 3), see `_extent`; positions in steps of size from the middle."""
     from scipy.optimize import linprog
 
@@ -203,7 +205,7 @@ def _planes(silhouette: np.ndarray, camera: Camera) -> np.ndarray:
     edge = np.array([camera.columns - 0.5, camera.rows - 0.5])
     following = np.roll(outline, -1, axis=0)
     on_border = ((outline == following) & ((outline <= -0.5) | (outline >= edge))).any(axis=1)
-    rays = _undistorted(outline, camera)
+    rays = _undistort(outline, camera)
     normals = np.cross(rays, np.roll(rays, -1, axis=0))
     inwards = np.sign(normals @ rays.mean(axis=0))[:, None]
     normals = (normals * inwards)[~on_border]
@@ -214,11 +216,11 @@ def _planes(silhouette: np.ndarray, camera: Camera) -> np.ndarray:
 
 def sight_rays(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     """Compute unit directions (n, 3) in the world of the lines of sight of pixels (n, 2)."""
-    directions = _undistorted(pixels, camera) @ camera.rotation
+    directions = _undistort(pixels, camera) @ camera.rotation
     return directions / np.linalg.norm(directions, axis=1, keepdims=True)
 
 
-def _undistorted(pixels: np.ndarray, camera: Camera) -> np.ndarray:
+def _undistort(pixels: np.ndarray, camera: Camera) -> np.ndarray:
     """Compute directions (n, 3) in the camera's frame, third component 1, of pixels (n, 2)."""
     k = camera.intrinsics
     y = (pixels[:, 1] - k[1, 2]) / k[1, 1]

@@ -116,11 +116,11 @@ def load_geometry(stream: BinaryIO, kind: str):
     trimesh = optional("trimesh")
     options = {"process": False, "maintain_order": True, "skip_materials": True}
     if kind == "ply":
-        stream = io.BytesIO(triangulated(stream.read()))
+        stream = io.BytesIO(triangulate_ply(stream.read()))
     return trimesh.load(stream, file_type=kind, resolver=_Nothing(), **options)
 
 
-def triangulated(content: bytes) -> bytes:
+def triangulate_ply(content: bytes) -> bytes:
     """Rewrite a binary PLY file whose faces have different numbers of corners, with fans of triangles.
 
     The library's reader takes one size of faces for granted. Other files are returned as they are. Texture coordinates

@@ -26,7 +26,7 @@ def agreement(first: np.ndarray, second: np.ndarray) -> float:
     return int((first & second).sum()) / union if union else 1.0
 
 
-def shaded(mesh: Mesh, camera: Camera) -> np.ndarray:
+def shade_from_camera(mesh: Mesh, camera: Camera) -> np.ndarray:
     """Shade the mesh lit from the camera, triangles flat: (rows, columns) uint8, dark grey where there is none."""
     seen = rasterise(mesh, camera).triangle
     faces = face_vectors(mesh.vertices, mesh.triangles)
@@ -38,7 +38,7 @@ def shaded(mesh: Mesh, camera: Camera) -> np.ndarray:
     return np.where(seen >= 0, 30 + 225 * np.sqrt(light[seen]), 20).astype(np.uint8)
 
 
-def overruled(loose: Mesh, camera: Camera, mask: np.ndarray, dark: np.ndarray, cell: float) -> np.ndarray:
+def find_overruled(loose: Mesh, camera: Camera, mask: np.ndarray, dark: np.ndarray, cell: float) -> np.ndarray:
     """Find the background of a view's mask that is the object by the other views, (rows, columns) bool.
 
     loose: hull that forgives some views, with grid cells of side `cell` (world's unit), which holds the object whatever
@@ -89,7 +89,7 @@ EQUAL = 0.01  # overlaps that differ by less are equal
 
 
 @dataclass(frozen=True)
-class Placement:
+class MeshPlacement:
     """The fit of a mesh to silhouettes."""
 
     overlap: float  # mean intersection over union of the mesh's outline and the silhouettes, as it lies
@@ -113,7 +113,7 @@ def move_mesh(
 
 def measure_placement(
     mesh: Mesh, silhouettes: list[np.ndarray], cameras: list[Camera], *, enough: float = 0.9
-) -> Placement:
+) -> MeshPlacement:
     """Compare a mesh with silhouettes (rows, columns) bool in the cameras' pictures.
 
     Where they overlap by less than `enough`, other units and axes are tried too.
@@ -128,7 +128,7 @@ def measure_placement(
     stated = 1.0, AXES[0][0], AXES[0][1]
     found = overlap(stated)
     if found >= enough:
-        return Placement(found, *stated, found)
+        return MeshPlacement(found, *stated, found)
     # points spread evenly over the surface, always the same
     rng, scores = np.random.default_rng(0), {}
     areas = np.linalg.norm(face_vectors(mesh.vertices, mesh.triangles), axis=1)
@@ -145,7 +145,7 @@ def measure_placement(
             scores[scale, *axes] = total / (number + 1)
     # of a round object several turns fit: the most usual one
     best = next(key for key, score in scores.items() if score >= max(scores.values()) - EQUAL)
-    return Placement(found, *best, overlap(best))
+    return MeshPlacement(found, *best, overlap(best))
 
 
 def shrink(mask: np.ndarray, camera: Camera, side: int) -> tuple[np.ndarray, Camera]:

@@ -245,7 +245,7 @@ class TurntablePoses:
 
 
 @dataclass(frozen=True)
-class Choice:
+class PoseComparison:
     """A comparison of single poses with poses on one axis."""
 
     cameras: tuple[Camera, ...]  # the poses that predict left-out points better
@@ -257,7 +257,9 @@ class Choice:
     turn_px: float | None
 
 
-def choose_poses(sights: list[Sight], cameras: list[Camera], *, steps: str = "free", full_turn: bool = False) -> Choice:
+def choose_poses(
+    sights: list[Sight], cameras: list[Camera], *, steps: str = "free", full_turn: bool = False
+) -> PoseComparison:
     """Choose poses on one axis if they predict left-out points at least as well as poses of their own, else the latter.
 
     sights: points that agree with the cameras (no outliers), in the order of the turn. steps: see `fit_turntable`.
@@ -265,7 +267,7 @@ def choose_poses(sights: list[Sight], cameras: list[Camera], *, steps: str = "fr
     """
     turn = fit_turntable(sights, cameras, steps=steps, full_turn=full_turn)
     if min(len(sight.points) for sight in sights) < LEAST_FOR_FOLDS:
-        return Choice(tuple(cameras), False, turn, None, None)
+        return PoseComparison(tuple(cameras), False, turn, None, None)
     free_sum, turn_sum, count = 0.0, 0.0, 0
     for fold in range(FOLDS):
         kept = [_part(sight, fold, keep=True) for sight in sights]
@@ -277,7 +279,7 @@ def choose_poses(sights: list[Sight], cameras: list[Camera], *, steps: str = "fr
         count += sum(len(sight.points) for sight in tests)
     free_px, turn_px = (float(np.sqrt(total / count)) for total in (free_sum, turn_sum))
     on_axis = turn_px <= free_px
-    return Choice(turn.cameras if on_axis else tuple(cameras), on_axis, turn, free_px, turn_px)
+    return PoseComparison(turn.cameras if on_axis else tuple(cameras), on_axis, turn, free_px, turn_px)
 
 
 def _part(sight: Sight, fold: int, *, keep: bool) -> Sight:

@@ -66,7 +66,8 @@ def merge(
         return scans[0], faces[0], {"merged": False, "guessed_triangles": 0}
     cell = float(np.ptp(np.concatenate(scans), axis=0).max()) / cells
     scans, faces = zip(
-        *(_filled(each, triangles_of, 3 * cell) for each, triangles_of in zip(scans, faces, strict=True)), strict=True
+        *(_subdivide(each, triangles_of, 3 * cell) for each, triangles_of in zip(scans, faces, strict=True)),
+        strict=True,
     )
     points = np.concatenate(scans)
     meshes = [(each, triangles) for each, triangles in zip(scans, faces, strict=True) if triangles is not None]
@@ -85,7 +86,9 @@ def merge(
     return vertices, triangles[sure], {"merged": True, "guessed_triangles": int((~sure).sum())}
 
 
-def _filled(points: np.ndarray, triangles: np.ndarray | None, longest: float) -> tuple[np.ndarray, np.ndarray | None]:
+def _subdivide(
+    points: np.ndarray, triangles: np.ndarray | None, longest: float
+) -> tuple[np.ndarray, np.ndarray | None]:
     """Subdivide a scan's triangles until no edge is longer than this, since their inside was measured too."""
     if triangles is None or not len(triangles):
         return points, None
@@ -218,12 +221,12 @@ def cloud_of(points: np.ndarray, *, most: int = POINTS) -> Cloud:
     """Sample about `most` points of a scan evenly (one per cell of a grid), with normals by principal axes."""
     from scipy.spatial import cKDTree
 
-    chosen = thinned(points, most)
+    chosen = thin_points(points, most)
     distance, _ = cKDTree(chosen).query(chosen, k=2)
     return Cloud(chosen, _principal_axes(points, chosen)[1], float(np.median(distance[:, 1])))
 
 
-def thinned(points: np.ndarray, most: int) -> np.ndarray:
+def thin_points(points: np.ndarray, most: int) -> np.ndarray:
     """Select the first point of each cell of a cubic grid so fine that about `most` cells are filled."""
     if len(points) <= most:
         return points
@@ -250,7 +253,7 @@ def register(scans: list[np.ndarray], *, overlap: float = 0.5) -> Registered:
     motions: dict[int, Motion] = {0: Motion.none()}
     order, searched = [0], []
     while len(motions) < len(scans):
-        target = _joined(clouds, motions)
+        target = _join_clouds(clouds, motions)
         candidates = []
         for index in sorted(set(range(len(scans))) - set(motions)):
             motion, residual = align(clouds[index], target, Motion.none(), overlap=overlap)
@@ -272,7 +275,7 @@ def register(scans: list[np.ndarray], *, overlap: float = 0.5) -> Registered:
     return Registered(tuple(motions[i] for i in range(len(scans))), residuals, tuple(order), tuple(searched))
 
 
-def _joined(clouds: list[Cloud], motions: dict[int, Motion], without: int | None = None) -> Cloud:
+def _join_clouds(clouds: list[Cloud], motions: dict[int, Motion], without: int | None = None) -> Cloud:
     chosen = [index for index in sorted(motions) if index != without]
     return Cloud(
         np.concatenate([motions[i].apply(clouds[i].points) for i in chosen]),
@@ -286,7 +289,7 @@ def _together(clouds: list[Cloud], motions: dict[int, Motion], overlap: float) -
     residuals = np.zeros(len(clouds))
     for _ in range(3 if len(clouds) > 1 else 0):
         for index in range(len(clouds)):
-            target = _joined(clouds, motions, without=index)
+            target = _join_clouds(clouds, motions, without=index)
             motion, residuals[index] = align(
                 clouds[index], target, motions[index], overlap=overlap, steps=0 if index == 0 else 15
             )
@@ -298,7 +301,7 @@ def _search(cloud: Cloud, target: Cloud, overlap: float) -> tuple[Motion, float]
     """Find the best of many rotations about the centroids, aligned coarsely with few points, the best five finely."""
     from scipy.spatial.transform import Rotation
 
-    few = Cloud(thinned(cloud.points, COARSE_POINTS), np.empty((0, 3)), cloud.spacing)
+    few = Cloud(thin_points(cloud.points, COARSE_POINTS), np.empty((0, 3)), cloud.spacing)
     middle, aim = cloud.points.mean(axis=0), target.points.mean(axis=0)
     tried = []
     for number, rotation in enumerate(Rotation.create_group("I").as_matrix()):

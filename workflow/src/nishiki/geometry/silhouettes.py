@@ -230,11 +230,11 @@ def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_P
     light = decode(picture[area].astype(np.float32) / 255, "srgb")
     moved = mask.copy()
     for _ in range(2):
-        moved[area] = _half_covered(light, moved[area], reach)
+        moved[area] = _move_to_half_cover(light, moved[area], reach)
     return moved
 
 
-def _half_covered(light: np.ndarray, mask: np.ndarray, reach: int) -> np.ndarray:
+def _move_to_half_cover(light: np.ndarray, mask: np.ndarray, reach: int) -> np.ndarray:
     """Make one step of `at_half_cover`, on linear light (rows, columns, 3)."""
     import cv2
 

@@ -29,10 +29,10 @@ def decimate(mesh: Mesh, triangles: int) -> Mesh:
     if triangles >= len(mesh.triangles):
         return mesh
     vertices, faces = mesh.vertices.copy(), mesh.triangles.astype(np.int64)
-    return compacted(vertices, faces[collapse(vertices, faces, triangles)])
+    return compact(vertices, faces[collapse(vertices, faces, triangles)])
 
 
-def compacted(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+def compact(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
     """Make a mesh of those vertices (v, 3) that faces (f, 3) use."""
     used, renumbered = np.unique(faces, return_inverse=True)
     return Mesh.of(vertices[used], renumbered.reshape(-1, 3))
@@ -121,14 +121,14 @@ def fewest_triangles(
     scale = pixels_per_unit(mesh.vertices, cameras)
     best = SimplifiedMesh(mesh, 0.0, 0.0, len(mesh.triangles))
     if most is not None and most < len(mesh.triangles):
-        best = _measured(mesh, decimate(mesh, most), scale)
+        best = _measure_deviation(mesh, decimate(mesh, most), scale)
     if deviation_px <= 0 or best.deviation_px > deviation_px:
         return best
     low, high, lowest = None, np.log(len(best.mesh.triangles)), np.log(min(64, len(mesh.triangles)))
     while rounds and high > lowest:
         target = max(high - np.log(4), lowest) if low is None else 0.5 * (low + high)
         rounds -= low is not None
-        tried = _measured(mesh, decimate(best.mesh, int(np.exp(target))), scale)
+        tried = _measure_deviation(mesh, decimate(best.mesh, int(np.exp(target))), scale)
         if tried.deviation_px <= deviation_px:
             best, high = tried, target
         else:
@@ -136,27 +136,27 @@ def fewest_triangles(
     return best
 
 
-def _measured(original: Mesh, mesh: Mesh, scale: np.ndarray) -> SimplifiedMesh:
+def _measure_deviation(original: Mesh, mesh: Mesh, scale: np.ndarray) -> SimplifiedMesh:
     used = np.unique(original.triangles)
     used = used[:: max(1, len(used) // MEASURED)]
     off = distances(original.vertices[used], mesh) * scale[used]
     return SimplifiedMesh(mesh, float(np.percentile(off, 99)), float(off.max()), len(original.triangles))
 
 
-def snapped(mesh: Mesh, step: float) -> Mesh:
+def snap(mesh: Mesh, step: float) -> Mesh:
     """Snap vertices to the grid of multiples of `step`; vanishing triangles are dropped."""
     vertices = np.round(mesh.vertices / step) * step
     areas = np.linalg.norm(face_vectors(vertices, mesh.triangles), axis=1)
-    return compacted(vertices, mesh.triangles[areas > 0])
+    return compact(vertices, mesh.triangles[areas > 0])
 
 
-def smoothed(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int = 8) -> Mesh:
+def smooth_outline_steps(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int = 8) -> Mesh:
     """Smooth away the steps of the grid and the noise of the outlines, moving vertices by `most_px` at most.
 
     G. Taubin, A signal processing approach to fair surface design, SIGGRAPH 1995: alternately towards the neighbours'
     mean and a little further back, so that the whole does not shrink. Pixels as `pixels_per_unit`.
     """
-    graph = linked(mesh)
+    graph = vertex_adjacency(mesh)
     counts = np.maximum(graph.sum(axis=1), 1)[:, None]
     points = mesh.vertices
     for _ in range(rounds):
@@ -169,7 +169,7 @@ def smoothed(mesh: Mesh, cameras: list[Camera], *, most_px: float, rounds: int =
     return Mesh.of(mesh.vertices + moved, mesh.triangles)
 
 
-def linked(mesh: Mesh):
+def vertex_adjacency(mesh: Mesh):
     """Make the matrix (v, v), sparse, that is 1 where two vertices share an edge."""
     from scipy.sparse import coo_array
 
@@ -180,7 +180,7 @@ def linked(mesh: Mesh):
 
 
 @dataclass(frozen=True)
-class Shape:
+class MeshFacts:
     """Facts of a mesh."""
 
     vertices: int
@@ -194,7 +194,7 @@ class Shape:
     area: float
 
 
-def shape_of(mesh: Mesh) -> Shape:
+def shape_of(mesh: Mesh) -> MeshFacts:
     """Measure topology and size of a mesh."""
     parts, _ = parts_of(mesh.triangles, len(mesh.vertices))
     directed = np.concatenate([mesh.triangles[:, [k, (k + 1) % 3]] for k in range(3)])
@@ -204,7 +204,7 @@ def shape_of(mesh: Mesh) -> Shape:
     used = len(np.unique(mesh.triangles))
     genus = (2 * parts - (used - len(counts) + len(mesh.triangles))) // 2 if watertight else None
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    return Shape(
+    return MeshFacts(
         len(mesh.vertices),
         len(mesh.triangles),
         int((counts == 1).sum()),
@@ -240,4 +240,4 @@ def without_small_parts(mesh: Mesh, *, smallest: float = 0.05) -> tuple[Mesh, in
         np.maximum.at(high, mine, mesh.vertices[mesh.triangles[:, k]])
     diagonal = np.linalg.norm(high - low, axis=1)
     kept = diagonal >= smallest * diagonal.max()
-    return compacted(mesh.vertices, mesh.triangles[kept[mine]]), int((~kept).sum())
+    return compact(mesh.vertices, mesh.triangles[kept[mine]]), int((~kept).sum())

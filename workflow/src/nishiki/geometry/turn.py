@@ -174,8 +174,8 @@ def camera_between(cameras: list[Camera], turn: CameraPath, index: int, fraction
     """
     a, b = cameras[index], cameras[(index + 1) % len(cameras)]
     step = twist(b.rotation.T @ a.rotation, turn.axis)
-    ahead = turned(a, turn, fraction * step)
-    behind = turned(b, turn, (fraction - 1) * step)
+    ahead = turn_camera(a, turn, fraction * step)
+    behind = turn_camera(b, turn, (fraction - 1) * step)
     between = rotation_vector(behind.rotation @ ahead.rotation.T)
     rotation = rotation_matrix(fraction * between) @ ahead.rotation
     centre = (1 - fraction) * ahead.centre + fraction * behind.centre
@@ -189,7 +189,7 @@ def camera_between(cameras: list[Camera], turn: CameraPath, index: int, fraction
     )
 
 
-def turned(camera: Camera, turn: CameraPath, angle: float) -> Camera:
+def turn_camera(camera: Camera, turn: CameraPath, angle: float) -> Camera:
     """Turn a camera about the axis by `angle` radians."""
     spin = rotation_matrix(angle * turn.axis)
     rotation = camera.rotation @ spin.T
@@ -197,7 +197,7 @@ def turned(camera: Camera, turn: CameraPath, angle: float) -> Camera:
     return replace(camera, rotation=rotation, translation=-rotation @ centre)
 
 
-def scaled(camera: Camera, factor: float) -> Camera:
+def scale_camera(camera: Camera, factor: float) -> Camera:
     """Scale a camera to `factor` times as many pixels along each side, at least one."""
     return camera.resize(max(1, round(camera.rows * factor)), max(1, round(camera.columns * factor)))
 

@@ -348,7 +348,7 @@ class Adjustment:
         moved = np.concatenate([[0.0], found.x[4:]]) if self.free else None
         return replace(self, start=found.x[:4], deviations=moved, cost=float(found.cost))
 
-    def reweighted(self) -> "Adjustment":
+    def reweight(self) -> "Adjustment":
         """Measure the noise of both kinds, then fit again."""
         residuals = np.abs(self.residuals(self.values)[: len(self.evidence.pairs)])
         residuals *= self.sigmas[self.evidence.kinds.astype(int)]
@@ -474,13 +474,13 @@ def estimate_turn(
     evidence = Evidence(masks, matches, intrinsics, distortion)
     focal = None if intrinsics is None else float(intrinsics[0, 0]) / evidence.side
     best, other = find_turn(evidence, focal)
-    fit = best.reweighted()
+    fit = best.reweight()
     deviation = np.sqrt(np.diag(fit.covariance()))
     error = equal_error = fit.left_out()
     if steps == "free":
         free = min((replace(each, sigmas=fit.sigmas, free=True).solve() for each in (fit, other)), key=lambda f: f.cost)
         other = other if free.sense == fit.sense else best  # if both fits disagree on the sense, ratio is 1: refused
-        free = free.reweighted()
+        free = free.reweight()
         if (free_error := free.left_out()) < FREE_GAIN * equal_error:
             fit, error, deviation = free, free_error, np.sqrt(np.diag(free.covariance()))
         else:  # the difference of the two fits counts as uncertainty

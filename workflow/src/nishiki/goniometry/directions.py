@@ -53,7 +53,7 @@ def images(symmetry: Symmetry) -> np.ndarray:
     return np.array([np.diag([x, y, 1.0]) for x, y in IMAGES[symmetry]])
 
 
-def reduced(incident: np.ndarray, outgoing: np.ndarray, symmetry: Symmetry) -> tuple[np.ndarray, np.ndarray]:
+def reduce_pairs(incident: np.ndarray, outgoing: np.ndarray, symmetry: Symmetry) -> tuple[np.ndarray, np.ndarray]:
     """Bring each pair (n, 3), (n, 3) to the representative of its symmetric pairs.
 
     quarter: light with x >= 0 and y >= 0; half: light with y > 0, or y = 0 and x >= 0. Where the light does not tell
@@ -83,7 +83,7 @@ def departure(incident: np.ndarray, outgoing: np.ndarray, values: np.ndarray, sy
     """
     if len(values) == 0 or symmetry == "none":
         return 0.0, 0
-    pairs = np.round(np.concatenate(reduced(incident, outgoing, symmetry), axis=1), 5) + 0.0
+    pairs = np.round(np.concatenate(reduce_pairs(incident, outgoing, symmetry), axis=1), 5) + 0.0
     _, group = np.unique(pairs, axis=0, return_inverse=True)
     group = group.ravel()
     count = np.bincount(group)

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, replace
 import numpy as np
 
 from nishiki.errors import UserError, require
-from nishiki.goniometry.directions import IMAGES, Symmetry, angles, disc, images, reduced, unit
+from nishiki.goniometry.directions import IMAGES, Symmetry, angles, disc, images, reduce_pairs, unit
 from nishiki.goniometry.interpolation import SmoothingSpline, fit_spline
 from nishiki.goniometry.table import BasicReflectance, ReflectanceSet
 
@@ -261,7 +261,7 @@ def interpolate(
     places = disc(nodes).reshape(-1, 2)
     try:
         predict, left_out = _fit(outgoing, values, noise, symmetry)
-        views = reduced(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
+        views = reduce_pairs(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
         inside = within_hull(places, np.concatenate([predict.points * fold for fold in predict.folds]))
     except ValueError as e:
         raise UserError(
@@ -315,8 +315,8 @@ def _fit(
     outgoing: np.ndarray, values: np.ndarray, noise: np.ndarray, symmetry: Symmetry
 ) -> tuple[SmoothingSpline, float]:
     """Fit the spline; return with it the error of the views, each predicted from those at other places."""
-    views = reduced(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
-    points, logs, sigma, group = gathered(disc(views), values, noise)
+    views = reduce_pairs(np.tile([0.0, 0.0, 1.0], (len(outgoing), 1)), outgoing, symmetry)[1]
+    points, logs, sigma, group = gather_views(disc(views), values, noise)
     predict = fit_spline(points, logs, sigma, images(symmetry)[:, [0, 1], [0, 1]])
     errors = predict.left_out[group] + np.log(values) - logs[group]
     return predict, float(np.sqrt(np.square(errors).mean()))
@@ -328,7 +328,7 @@ def grid_axes(grid_deg: float) -> tuple[np.ndarray, np.ndarray]:
     return np.linspace(0, np.pi / 2, steps + 1), np.arange(4 * steps) * (np.pi / 2 / steps)
 
 
-def gathered(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, ...]:
+def gather_views(places: np.ndarray, values: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, ...]:
     """Average repeats of a place and, above MOST_POINTS, the views of small cells of the disc.
 
     Return points (m, 2), mean logarithms (m, channels), their standard deviation (m,), and the point of each view (n,).

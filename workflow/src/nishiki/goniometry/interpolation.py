@@ -26,10 +26,10 @@ def coefficients(values: np.ndarray) -> np.ndarray:
     half = np.concatenate([logs, logs[-1] + step * (logs[-1] - logs[-2])])
     # from horizon to horizon through the pole: there the spline is as smooth as anywhere
     arc = np.concatenate([np.roll(half[1:], around // 2, axis=1)[::-1], half])
-    return _filtered(arc, around, len(half) - 1 - MARGIN, nt + 2 * MARGIN)
+    return _filter(arc, around, len(half) - 1 - MARGIN, nt + 2 * MARGIN)
 
 
-def _filtered(arc: np.ndarray, around: int, first: int, rows: int) -> np.ndarray:
+def _filter(arc: np.ndarray, around: int, first: int, rows: int) -> np.ndarray:
     """Compute spline coefficients along both axes; round the azimuth the filter is exactly periodic."""
     from scipy.ndimage import spline_filter1d
 

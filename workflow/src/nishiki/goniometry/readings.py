@@ -212,7 +212,7 @@ def average_repeats(
 
 
 @dataclass(frozen=True)
-class Photograph:
+class ClothPhotograph:
     """A photograph of the cloth or of a board."""
 
     # (rows, columns, channels) float32: light as a fraction of full scale, divided by the exposure time where it is
@@ -245,8 +245,8 @@ class Readings:
 
 
 def read_all(
-    read_sample: Callable[[int], Photograph],
-    read_white: Callable[[int], Photograph],
+    read_sample: Callable[[int], ClothPhotograph],
+    read_white: Callable[[int], ClothPhotograph],
     angles_deg: tuple[np.ndarray, np.ndarray],
     *,
     white_reflectance: np.ndarray,
@@ -287,12 +287,12 @@ def read_all(
     return Readings(values, noise, valid, pixels, saturated, rules)
 
 
-def _middle(photograph: Photograph, window_px: int) -> WindowSample:
+def _middle(photograph: ClothPhotograph, window_px: int) -> WindowSample:
     inside = central_window(photograph.usable.shape, window_px)
     return read_window(photograph.linear, inside & photograph.usable, photograph.saturated)
 
 
-def _masks(photograph: Photograph, angles_deg: np.ndarray, window_px: int, regions: Regions | None):
+def _masks(photograph: ClothPhotograph, angles_deg: np.ndarray, window_px: int, regions: Regions | None):
     """Make one mask a region."""
     shape = photograph.usable.shape
     if regions is None:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.outputs import Output, as_declared
+from nishiki.artifacts.outputs import Output, convert_to_declared
 from nishiki.errors import UserError
 from nishiki.formats.files import read_json
 from nishiki.formats.stored import load_arrays
@@ -125,7 +125,7 @@ def write_reflectances(
     arrays = {name: getattr(measured, name) for name in ROWS}
     if measured.basic is not None:
         arrays |= {f"basic_{name}": getattr(measured.basic, name) for name in GRID}
-    np.savez(folder / ARRAYS, **as_declared(outputs, arrays))
+    np.savez(folder / ARRAYS, **convert_to_declared(outputs, arrays))
     names = {
         "format": FORMAT,
         "regions": list(measured.regions),

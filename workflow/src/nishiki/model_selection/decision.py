@@ -108,7 +108,7 @@ def unseen_gain(
     for fold in range(FOLDS):
         seen, unseen = weights * (part != fold), weights * (part == fold)
         for k, lobe in enumerate([np.zeros_like(alpha), *lobes]):
-            left = values - _fitted(values, diffuse, lobe, seen)
+            left = values - _fit_strengths(values, diffuse, lobe, seen)
             inside[k] += np.sum(seen[..., None] * left**2)
             outside[k] += np.sum(unseen[..., None] * left**2)
     best = 1 + int(np.argmin(inside[1:]))
@@ -117,7 +117,7 @@ def unseen_gain(
     return Gain(bool(gain > LIMIT_DB), float(gain), float(SIGMAS[best - 1]), float(error), len(values))
 
 
-def _fitted(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, weights: np.ndarray) -> np.ndarray:
+def _fit_strengths(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, weights: np.ndarray) -> np.ndarray:
     """Fit K_d q + K_s s at all observations, every texel and channel, K_d and K_s >= 0.
 
     K_s is the texel's own, drawn towards that of the object by as much as an average texel knows of it: a texel that is

@@ -40,7 +40,7 @@ MID_GREY = 0.2  # that the median sample becomes: a colour difference depends on
 
 
 @dataclass(frozen=True)
-class Sampled:
+class RelightingSample:
     """Sampled pixels under one set of directions."""
 
     # (lights, 1, pixels, channels), usable and valid (lights, 1, pixels) bool, and their parcel
@@ -50,13 +50,13 @@ class Sampled:
     parcel: Parcel
     cells: np.ndarray | None = None  # (1, pixels): numbers of cells of the picture, or of regions
 
-    def only(self, chosen: np.ndarray) -> "Sampled":
+    def only(self, chosen: np.ndarray) -> "RelightingSample":
         """Select some of the pixels: numbers, or bool (pixels,)."""
         names = ("observations", "usable", "valid")
         cells = require(self.cells)[:, chosen]
         return replace(self, **{name: getattr(self, name)[:, :, chosen] for name in names}, cells=cells)
 
-    def under(self, lights: np.ndarray) -> "Sampled":
+    def under(self, lights: np.ndarray) -> "RelightingSample":
         """Select some of the lights."""
         parcel = replace(self.parcel, directions=self.parcel.directions[lights], scale=self.parcel.scale[lights])
         return replace(
@@ -74,7 +74,7 @@ class Sampled:
 
 
 @dataclass(frozen=True)
-class Fitted:
+class CandidateFit:
     """One candidate: maps of `nishiki.stages.normals`, and the gloss of their fit, or None."""
 
     maps: dict
@@ -115,7 +115,9 @@ def choose_model(errors: dict[str, np.ndarray]) -> tuple[str, Decision]:
 
 
 def left_out_errors(
-    pieces: Sequence[Sampled], fit: Callable[[Sampled], dict[str, Fitted]], scene: Sequence[Sampled] = ()
+    pieces: Sequence[RelightingSample],
+    fit: Callable[[RelightingSample], dict[str, CandidateFit]],
+    scene: Sequence[RelightingSample] = (),
 ) -> dict[str, np.ndarray]:
     """Compute mean CIEDE2000 (lights,) over each light's valid samples, held out in turn, by candidate.
 
@@ -148,7 +150,7 @@ def left_out_errors(
     return {name: total / np.maximum(count, 1) for name, (total, count) in sums.items()}
 
 
-def interpolated(directions: np.ndarray) -> np.ndarray:
+def select_surrounded(directions: np.ndarray) -> np.ndarray:
     """Select the lights (n, 3) that those of other folds surround, or nearly; all if fewer than FEWEST / 2 are."""
     from scipy.optimize import nnls
 
@@ -161,7 +163,7 @@ def interpolated(directions: np.ndarray) -> np.ndarray:
     return near | (near.sum() < FEWEST / 2)
 
 
-def remaining_gloss(pieces: Sequence[Sampled], candidates: Sequence[Fitted]) -> GlossProfile:
+def remaining_gloss(pieces: Sequence[RelightingSample], candidates: Sequence[CandidateFit]) -> GlossProfile:
     """Fit the gloss of all pieces together to the residual of a candidate's body."""
     unit = unit_of([candidate.maps["reflectance"] for candidate in candidates])
     nothing = GlossProfile(np.zeros(LADDER.size), LADDER, transmission=0.0, unit=unit)

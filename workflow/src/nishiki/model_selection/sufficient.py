@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.colour.sampling import principal_basis
 from nishiki.errors import UserError, require
-from nishiki.goniometry.directions import disc, reduced
+from nishiki.goniometry.directions import disc, reduce_pairs
 from nishiki.goniometry.hemisphere import complete
 from nishiki.goniometry.table import ReflectanceSet
 from nishiki.model_selection.decision import Decision
@@ -118,7 +118,7 @@ class Left:
         return max(STEP * float(np.sqrt(self.mean_square)), 1e-5)
 
 
-def what_is_left(tiles) -> Left:
+def summarise_residual(tiles) -> Left:
     """Summarise (left (channels, n), observation (n,), s (n,), t (n,)) of some tiles; s, t: places in texels.
 
     structure: correlation of what is left at a pixel with what is left at its nearest neighbour, in the same picture
@@ -194,7 +194,7 @@ def normal_order(measured: ReflectanceSet) -> np.ndarray:
     """
     rows = np.flatnonzero(measured.normal_incidence & measured.valid.all(axis=1))
     along = np.tile([0.0, 0.0, 1.0], (len(rows), 1))
-    places = disc(reduced(along, measured.outgoing[rows], measured.symmetry)[1])
+    places = disc(reduce_pairs(along, measured.outgoing[rows], measured.symmetry)[1])
     return rows[spread_order(places)]
 
 

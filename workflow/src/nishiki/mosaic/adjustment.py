@@ -30,7 +30,7 @@ WRONG = 0.5, 2.0  # residual of a wrong overlap: pixels, and relative to that of
 
 
 @dataclass(frozen=True)
-class Placement:
+class FieldPlacement:
     """Positions of the fields in the mosaic.
 
     fields : fields, by number
@@ -73,7 +73,7 @@ class Placement:
 
     def to_mosaic(self, i: int | np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return the places (..., 2) in the mosaic of places in field i, or in fields i (...)."""
-        q = self.scaled(i, points)
+        q = self.scale_offset(i, points)
         turned = (q * _bend(q, self.lens)) @ (1, 1j) * (self.reach * self.scale[i] * np.exp(1j * self.turn[i]))
         return self.position[i] + np.stack([turned.real, turned.imag], axis=-1)
 
@@ -85,7 +85,7 @@ class Placement:
             q = straight / _bend(q, self.lens)
         return self.fields[i].centre + self.reach * q
 
-    def scaled(self, i: int | np.ndarray, points: np.ndarray) -> np.ndarray:
+    def scale_offset(self, i: int | np.ndarray, points: np.ndarray) -> np.ndarray:
         """Return q (..., 2) of places in field i, or in fields i (...)."""
         return (points - np.array([field.centre for field in self.fields])[i]) / self.reach
 
@@ -95,7 +95,7 @@ def _bend(q: np.ndarray, lens: np.ndarray) -> np.ndarray:
     return 1 + square * (lens[0] + lens[1] * square) + (q @ lens[2:])[..., None]
 
 
-def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[Placement, dict]:
+def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[FieldPlacement, dict]:
     """Place the fields by their overlaps.
 
     Returns the placement, and plain numbers: `lens` with the error of matches left out of each choice, `rms_px` of all
@@ -148,7 +148,7 @@ def adjust(fields: Sequence[Field], overlaps: Sequence[Overlap]) -> tuple[Placem
     }
 
 
-def solve(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[int]) -> tuple[Placement, list]:
+def solve(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[int]) -> tuple[FieldPlacement, list]:
     """Adjust with the given terms of the lens; return the placement, and the residuals of each overlap in pixels.
 
     Gauss-Newton steps, with weights of least absolute deviations first, so that a wrong overlap does not pull, then
@@ -158,7 +158,7 @@ def solve(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[i
     from scipy.sparse.linalg import splu
 
     count, start = len(fields), np.zeros(len(fields))
-    placement = Placement(tuple(fields), np.zeros((count, 2)), start, start + 1, np.zeros(4), start)
+    placement = FieldPlacement(tuple(fields), np.zeros((count, 2)), start, start + 1, np.zeros(4), start)
     if not overlaps:
         return placement, []
     sizes, size = [o.points.shape[1] for o in overlaps], 4 * count + 4
@@ -205,9 +205,9 @@ def solve(fields: Sequence[Field], overlaps: Sequence[Overlap], lens: Sequence[i
     return placement, np.split(np.linalg.norm(residual, axis=1), np.cumsum(sizes)[:-1])
 
 
-def _slopes(placement: Placement, i: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _slopes(placement: FieldPlacement, i: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the derivatives (n, 2, 8) of places in the mosaic by T, r and log s of their field and by the lens."""
-    q, around = placement.scaled(i, points), placement.to_mosaic(i, points) - placement.position[i]
+    q, around = placement.scale_offset(i, points), placement.to_mosaic(i, points) - placement.position[i]
     square = np.square(q).sum(axis=1, keepdims=True)
     lens = (around / _bend(q, placement.lens))[:, :, None] * np.concatenate([square, square**2, q], axis=1)[:, None]
     own = np.stack([around[:, ::-1] * (-1, 1), around], axis=2)

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.model_selection.decision import Decision
-from nishiki.mosaic.adjustment import LEAST_GAIN, Placement
+from nishiki.mosaic.adjustment import LEAST_GAIN, FieldPlacement
 from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
 
 LEAST_NZ = 1e-3  # of a normal that is tilted
@@ -148,7 +148,7 @@ def left_out_error(samples: Samples, fields: int, terms: int | None) -> float:
 
 
 @dataclass(frozen=True)
-class Piece:
+class FieldPiece:
     """One field's values in a part of the mosaic.
 
     columns : slice of the part's columns
@@ -167,8 +167,8 @@ class Piece:
 
 
 def take_piece(
-    placement: Placement, i: int, read: Reader, names: Mapping[str, bool], rows: np.ndarray, columns: np.ndarray
-) -> Piece | None:
+    placement: FieldPlacement, i: int, read: Reader, names: Mapping[str, bool], rows: np.ndarray, columns: np.ndarray
+) -> FieldPiece | None:
     """Resample maps of field i at some rows and columns of the mosaic; None where it shows none of them.
 
     names : maps, and whether they hold numbers of kinds, of which the nearest is taken; others are interpolated by a
@@ -210,10 +210,12 @@ def take_piece(
         maps[name] = np.stack(layers, axis=-1).reshape(*where.shape[:2], *values.shape[2:])
     depth = np.minimum(np.minimum(x, size[0] - 1 - x), np.minimum(y, size[1] - 1 - y))
     place = (points - placement.fields[i].centre) / placement.reach
-    return Piece(part, maps, inside, known, place, np.maximum((depth + 1) / (size.min() / 2), 0).astype(np.float32))
+    return FieldPiece(
+        part, maps, inside, known, place, np.maximum((depth + 1) / (size.min() / 2), 0).astype(np.float32)
+    )
 
 
-def _field_places(placement: Placement, i: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def _field_places(placement: FieldPlacement, i: int, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Return places in field i (rows, columns, 2), linear between nodes: a lens bends by 1e-3 pixels between them."""
     nodes = [np.arange(each[0], each[-1] + NODES, NODES, dtype=float) for each in (columns, rows)]
     lattice = placement.to_field(i, np.stack(np.meshgrid(*nodes), axis=-1))
@@ -237,7 +239,7 @@ def turn_normals(normals: np.ndarray, turn: float, tilt: np.ndarray | float = 0.
     return turned / np.linalg.norm(turned, axis=-1, keepdims=True)
 
 
-def compare_fields(placement: Placement, readers: Sequence[Reader]) -> Samples:
+def compare_fields(placement: FieldPlacement, readers: Sequence[Reader]) -> Samples:
     """Compare all fields where they overlap, at areas of SQUARE pixels every CELL pixels. One band is in memory."""
     rows, columns = placement.shape
     down, across = (np.arange(n // CELL * CELL).reshape(-1, CELL)[:, :SQUARE] for n in (rows, columns))
@@ -270,7 +272,7 @@ def compare_fields(placement: Placement, readers: Sequence[Reader]) -> Samples:
 
 
 def blend_band(
-    placement: Placement, readers: Sequence[Reader], levels: Levels, names: Mapping[str, bool], rows: slice
+    placement: FieldPlacement, readers: Sequence[Reader], levels: Levels, names: Mapping[str, bool], rows: slice
 ) -> dict[str, np.ndarray]:
     """Blend some rows of the mosaic.
 

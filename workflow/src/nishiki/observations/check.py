@@ -59,7 +59,7 @@ def check_capture(
     elif root.is_dir():
         problems += attempt(lambda: (payload_files(root), [])[1])  # links that lead out, devices, unusable names
     if capture is not None:
-        problems += _unlisted(capture)
+        problems += _warn_of_unlisted(capture)
         remarks, sound, size = _header_problems(capture)
         problems += remarks
         if isinstance(capture, GoniometerCapture) and capture.table is not None:
@@ -78,7 +78,7 @@ def check_capture(
     return sorted(distinct, key=lambda p: p.severity != "error")
 
 
-def _unlisted(capture: AnyCapture) -> list[Problem]:
+def _warn_of_unlisted(capture: AnyCapture) -> list[Problem]:
     """Warn of files in the payload that no table names: harmless, but perhaps a forgotten photograph."""
     settings = capture.settings
     named = [settings.camera.sensitivities, settings.illuminant, "capture.yaml"]
@@ -143,7 +143,7 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     shown = {name for frame in capture.observed for name in frame.names}
     sizes = {file: f"{header.rows} x {header.columns}" for file, header in headers.items()}
     problems += _exceptions(sizes, "image-size", "size differs", "Develop all photographs alike, without rotation")
-    problems = [_turned(problem, headers) for problem in problems]
+    problems = [_warn_of_rotation(problem, headers) for problem in problems]
     depths: dict[str, str] = {file: header.sample for file, header in headers.items()}
     problems += _exceptions(depths, "image-depth", "depth differs", "Develop all photographs alike")
     kinds: dict[str, str] = {file: header.kind for file, header in headers.items() if file in shown}
@@ -165,7 +165,7 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     return problems, replace(capture, frames=sound), size
 
 
-def _turned(problem: Problem, headers: dict[str, ImageHeader]) -> Problem:
+def _warn_of_rotation(problem: Problem, headers: dict[str, ImageHeader]) -> Problem:
     """Warn that a photograph with exchanged rows and columns was rotated."""
     header = headers.get(problem.file)
     if problem.kind != "image-size" or not header or f"{header.columns} x {header.rows}" not in problem.expected:
@@ -180,7 +180,7 @@ def _coding_problems(headers: dict[str, ImageHeader], encoding: str) -> list[Pro
     distinct: list[Coding] = []
     names, overruled = {}, []
     for file, header in headers.items():
-        stated, used = header.coding_used("file"), header.coding_used(encoding)
+        stated, used = header.choose_coding("file"), header.choose_coding(encoding)
         alike = next((each for each in distinct if each == stated or not each.differs_from(stated)), stated)
         distinct += [alike] if alike not in distinct else []
         names[file] = alike.name
@@ -294,6 +294,6 @@ def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tu
         return DarkField((None,), (level,), np.zeros(reader.region[2:], bool), ()), list(e.problems)
 
 
-def failed(problems: list[Problem]) -> bool:
+def has_errors(problems: list[Problem]) -> bool:
     """Check whether the capture cannot be used."""
     return any(p.severity == "error" for p in problems)

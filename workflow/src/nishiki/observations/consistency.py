@@ -119,7 +119,7 @@ class ReducedPhotographs:
         place = self.reader.capture.lights.find(frame.light)
         if place is None or frame.role not in ("sample", "check", "white"):
             return
-        values = self._reduced(codes[self.part]) - self.darks.at(frame.exposure_s).mean(axis=(0, 1))
+        values = self._reduce(codes[self.part]) - self.darks.at(frame.exposure_s).mean(axis=(0, 1))
         if frame.role == "white":
             self.boards[place] = values / (frame.exposure or 1.0)
             return
@@ -135,7 +135,7 @@ class ReducedPhotographs:
     def _linear(self, codes: np.ndarray) -> np.ndarray:
         return codes.astype(np.float32) if codes.dtype.kind == "f" else self.reader.table[codes]
 
-    def _reduced(self, codes: np.ndarray) -> np.ndarray:
+    def _reduce(self, codes: np.ndarray) -> np.ndarray:
         """Compute linear light (rows, columns, channels) of the mean of each block, NaN where a pixel is saturated."""
         import cv2
 
@@ -172,7 +172,7 @@ class ReducedPhotographs:
         values, directions = np.stack([self.photographs[i] for i in places]), capture.lights.directions[list(places)]
         movement = self._movement(values, places, directions)
         values[:, ~self.inside] = np.nan
-        values, lamps = self._divided(values, places), self._lamps(places)
+        values, lamps = self._divide(values, places), self._lamps(places)
         before = consistency = examine_photographs(values, lamps)
         moved, aligned = movement.moved, values
         if moved.any():
@@ -206,7 +206,7 @@ class ReducedPhotographs:
         corner = np.array([part.start for part in self.part[::-1]]) + (self.step - 1) / 2
         return Window(list(pictures), self.inside, corner, np.full(2, float(self.step)))
 
-    def _divided(self, values: np.ndarray, places: tuple[int, ...]) -> np.ndarray:
+    def _divide(self, values: np.ndarray, places: tuple[int, ...]) -> np.ndarray:
         """Divide the values by their boards or by the strengths of the lamps, unless their gains include these."""
         capture = self.reader.capture
         if self.gain is not None:

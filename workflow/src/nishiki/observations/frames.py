@@ -88,7 +88,7 @@ class FrameReader(Generic[AnyCapture]):
             expected = f"at most {8 * dtype.itemsize} for these files"
             found = str(camera.bits)
             refuse("bits-differ", "capture.yaml camera.bits", "bits", expected=expected, found=found)
-        coding, bits = header.coding_used(camera.encoding), camera.bits or header.bits
+        coding, bits = header.choose_coding(camera.encoding), camera.bits or header.bits
         if coding.fault and camera.encoding == "file":
             raise CaptureError(unusable_coding(coding, first.file))
         motions = {f.file: np.column_stack([np.eye(2), f.shift_px]) for f in capture.frames if any(f.shift_px)}
@@ -205,7 +205,7 @@ class FrameReader(Generic[AnyCapture]):
         if np.dtype(header.sample) != self.dtype:
             expected, found = str(self.dtype), header.sample
             refuse("image-depth", file, "depth differs", expected=expected, found=found)
-        coding = header.coding_used(self.capture.settings.camera.encoding)
+        coding = header.choose_coding(self.capture.settings.camera.encoding)
         if coding != self.coding and coding.differs_from(self.coding):
             expected, found = self.coding.name, coding.name
             refuse("coding-differs", file, "coding differs", expected=expected, found=found)

@@ -23,7 +23,7 @@ from nishiki.formats.problems import CaptureError, Problem, error, group_problem
 from nishiki.formats.stored import BandedGroup, load_arrays, open_group, understood
 from nishiki.goniometry.directions import Symmetry, unit
 from nishiki.goniometry.hemisphere import FEWEST_PAIRS, forward_shine, reciprocity, turned_views, typical_albedo
-from nishiki.goniometry.readings import Photograph
+from nishiki.goniometry.readings import ClothPhotograph
 from nishiki.observations.frames import (
     FrameReader,
     PhotographCounter,
@@ -39,7 +39,9 @@ from nishiki.observations.region import chosen
 DARK_WHITE = 0.005  # of full scale: below it the board's quantisation alone is worth a percent
 
 
-def windowed(reader: FrameReader[GoniometerCapture], capture: GoniometerCapture) -> FrameReader[GoniometerCapture]:
+def restrict_to_window(
+    reader: FrameReader[GoniometerCapture], capture: GoniometerCapture
+) -> FrameReader[GoniometerCapture]:
     """Restrict the reader to the central window of crop_px; where there are regions it reads whole photographs."""
     side = max(reader.rows, reader.columns) if capture.regions else capture.settings.goniometer.crop_px
     return replace(reader, region=central((reader.rows, reader.columns), side))
@@ -138,7 +140,8 @@ def look_at_windows(capture: GoniometerCapture, size: tuple[int, int], contents:
 def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
     """Find problems that only decoding reveals; every photograph is decoded once."""
     try:
-        reader = windowed(FrameReader.of(capture, "all", prove=False), capture)  # the whole seal is verified apart
+        # the whole seal is verified apart
+        reader = restrict_to_window(FrameReader.of(capture, "all", prove=False), capture)
         edges = picture_edges(reader.region[2:], CHECK_BLOCK)
         darks = measure_darks(reader, edges, tick)
     except CaptureError as e:
@@ -218,7 +221,7 @@ def _remedy(key: str, option: str) -> str:
 
 
 @dataclass(frozen=True)
-class Shot:
+class MeasuredShot:
     """A frame: theta_i, phi_i, theta_r, phi_r, None where not given; exposure_s or None; place: number in the store."""
 
     file: str
@@ -253,11 +256,11 @@ class Measurements(StoredArrays):
             self.weave: str = stored["weave"]
             self.threads_per_cm: list[float] | None = stored.get("threads_per_cm")
             shots = [
-                (row["role"], Shot(row["file"], tuple(row["angles_deg"]), row["exposure_s"], i))
+                (row["role"], MeasuredShot(row["file"], tuple(row["angles_deg"]), row["exposure_s"], i))
                 for i, row in enumerate(stored["frames"])
             ]
-            self.samples: tuple[Shot, ...] = tuple(shot for role, shot in shots if role == "sample")
-            self.whites: tuple[Shot, ...] = tuple(shot for role, shot in shots if role == "white")
+            self.samples: tuple[MeasuredShot, ...] = tuple(shot for role, shot in shots if role == "sample")
+            self.whites: tuple[MeasuredShot, ...] = tuple(shot for role, shot in shots if role == "white")
         self._block = lru_cache(maxsize=2)(self._read_block)
         self._dark = lru_cache(maxsize=8)(self._dark_level)
 
@@ -272,7 +275,7 @@ class Measurements(StoredArrays):
         """(channels,) float64."""
         return np.array(self.attributes["white_reflectance"])
 
-    def read(self, shot: Shot) -> Photograph:
+    def read(self, shot: MeasuredShot) -> ClothPhotograph:
         """Read one photograph's window. UserError where the store is damaged."""
         depth = self.attributes["frames_a_chunk"]
         codes = self._block(shot.place // depth)[shot.place % depth]
@@ -284,7 +287,7 @@ class Measurements(StoredArrays):
         limit = self.attributes["saturation_code"]
         saturated = (codes >= limit).any(axis=2) if limit is not None else np.zeros(codes.shape[:2], bool)
         usable = finite if self.defect is None else finite & ~self.defect
-        return Photograph(np.where(finite[..., None], linear, np.float32(0)), saturated & finite, usable)
+        return ClothPhotograph(np.where(finite[..., None], linear, np.float32(0)), saturated & finite, usable)
 
     def _read_block(self, number: int) -> np.ndarray:
         depth = self.attributes["frames_a_chunk"]
@@ -335,7 +338,7 @@ def write_goniometer(
     choice = chosen(capture, settings.without)
     capture = choice.capture
     tick = PhotographCounter(progress, len(capture.frames))
-    reader = windowed(FrameReader.of(capture, settings.channels, unopened=choice.files), capture)
+    reader = restrict_to_window(FrameReader.of(capture, settings.channels, unopened=choice.files), capture)
     edges = picture_edges(reader.region[2:], settings.white_block)
     labels = region_labels(capture, (reader.rows, reader.columns))
     darks = measure_darks(reader, edges, tick)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.formats.coding import Curve
+from nishiki.formats.coding import TransferCurve
 from nishiki.threads import strips
 
 DEFAULT_SATURATION = 0.995  # of full scale
@@ -19,7 +19,7 @@ def full_scale(dtype: np.dtype, bits: int | None) -> float:
     return float((1 << (bits or 8 * np.dtype(dtype).itemsize)) - 1)
 
 
-def code_table(dtype: np.dtype, curve: Curve, bits: int | None = None) -> np.ndarray:
+def code_table(dtype: np.dtype, curve: TransferCurve, bits: int | None = None) -> np.ndarray:
     """Compute the linear value of each code, as a fraction of full scale: (256,) or (65536,) float32."""
     codes = np.arange(np.iinfo(dtype).max + 1) / full_scale(dtype, bits)
     return curve.decode(codes).astype(np.float32)

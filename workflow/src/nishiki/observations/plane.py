@@ -94,7 +94,7 @@ class Observations(StoredArrays):
         chosen = np.arange(len(self.lights)) if lights is None else np.asarray(lights, np.int64)
         codes, start = self.codes(band, lights=chosen, columns=columns)
         left = (columns or slice(None)).indices(self.shape[1])[0]
-        return self.decoded(codes, chosen, start, left, channel)
+        return self.decode(codes, chosen, start, left, channel)
 
     def strips(
         self,
@@ -115,14 +115,14 @@ class Observations(StoredArrays):
         row_bytes = 4 * count * columns * (channels if channel is None else 1)
         step = rows if self.positions_mm is not None else max(STRIP_BYTES // row_bytes, 1)
 
-        def of_strip(top: int) -> Any:
+        def read_strip(top: int) -> Any:
             part, first = codes[:, top : top + step], start + top
-            return work(slice(first, first + part.shape[1]), *self.decoded(part, lights, first, channel=channel))
+            return work(slice(first, first + part.shape[1]), *self.decode(part, lights, first, channel=channel))
 
         tops = range(0, rows, step)
-        return in_threads(of_strip, tops) if len(tops) > 1 else map(of_strip, tops)
+        return in_threads(read_strip, tops) if len(tops) > 1 else map(read_strip, tops)
 
-    def decoded(
+    def decode(
         self,
         codes: np.ndarray,
         chosen: np.ndarray,
@@ -221,7 +221,7 @@ class Parcel:
     # (2, 3, 3): error of Lambert's vector, as a factor on it, a row and a column away from the centre
     drift: np.ndarray | None = None
 
-    def scaled(self, observations: np.ndarray) -> np.ndarray:
+    def scale_to_centre(self, observations: np.ndarray) -> np.ndarray:
         """Return observations (lights, ...) as if the lamps were as far from the parcel as from the centre."""
         if (self.scale == 1).all():
             return observations
@@ -295,7 +295,7 @@ STRIPS = 16  # rows of the picture that are looked at: bounds the reading where 
 
 
 @dataclass(frozen=True)
-class Piece:
+class PixelSample:
     """Sampled pixels under one set of directions.
 
     parcel; band (rows of the picture) and places (pixels,) in its parcel, flat; observations (lights, 1, pixels), or
@@ -316,7 +316,7 @@ class Piece:
 
 def sample(
     frames: Observations, lights: np.ndarray, pixels: int, *, channel: Any = "mean", cell: int = 1
-) -> Iterator[Piece]:
+) -> Iterator[PixelSample]:
     """Yield about `pixels` pixels of the object from at most STRIPS strips of rows: the same on every machine.
 
     The strips lie evenly among the rows that the object reaches; of near lamps' parcels the pixels are taken alike.
@@ -350,8 +350,8 @@ def sample(
                 chosen = here[taken & (row % stride == 0) & (column % stride == 0)]
             seen += here.size
             if chosen.size:
-                values = flat(parcel.scaled(observations[area]), chosen)
-                yield Piece(parcel, strip, chosen, values, flat(valid[area], chosen))
+                values = flat(parcel.scale_to_centre(observations[area]), chosen)
+                yield PixelSample(parcel, strip, chosen, values, flat(valid[area], chosen))
 
 
 def flat(array: np.ndarray, chosen: np.ndarray) -> np.ndarray:

@@ -150,7 +150,7 @@ def find_corrections(reader: FrameReader, reduced: ReducedPhotographs, wishes: W
     }
     if registered:
         uncertainty["shift_px"] = [float(movement.sigma[j]) if judgement.moved[j] else 0.0 for j in kept]
-    measured = {"photographs": _measured(frames, movement, judgement.before), "done": done}
+    measured = {"photographs": _list_measurements(frames, movement, judgement.before), "done": done}
     if (first := judgement.before) is not None:
         measured |= {"ambient": first.ambient, "ambient_sigma": _plain(first.ambient_sigma)}
     return Corrections(left, kept, motions, gains, ambient, uncertainty, measured, tuple(problems))
@@ -209,7 +209,9 @@ def _choose_ambient(
     return np.array(levels) if subtracts else none, ambient_problems(found, capture, subtracts)
 
 
-def _measured(frames: tuple[Frame, ...], movement: Movement, found: Consistency | None) -> dict[str, dict[str, Any]]:
+def _list_measurements(
+    frames: tuple[Frame, ...], movement: Movement, found: Consistency | None
+) -> dict[str, dict[str, Any]]:
     """List measurements of each photograph before corrections, by light, in plain numbers."""
     table: dict[str, dict[str, Any]] = {}
     for j, frame in enumerate(frames):

@@ -13,7 +13,7 @@ from nishiki.formats.problems import CaptureError, Problem, error, name_some, wa
 from nishiki.observations.frames import FrameReader, Tick, examine_frames
 from nishiki.observations.linearise import CHECK_BLOCK, count_unusable, picture_edges
 from nishiki.observations.reference import measure_darks
-from nishiki.observations.turntable_coherence import Pictures, capture_problems
+from nishiki.observations.turntable_coherence import DisplayPictures, capture_problems
 from nishiki.observations.views_store import measure_whites, read_silhouette, view_problems
 from nishiki.polarisation.polarisation import LIT
 from nishiki.polarisation.polariser_states import equal_steps, sums_of
@@ -158,7 +158,7 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
     except CaptureError as e:
         return list(e.problems)
     problems = _reference_problems(reader, tick)
-    pictures, levels = Pictures(capture), PolariserLevels(reader)
+    pictures, levels = DisplayPictures(capture), PolariserLevels(reader)
 
     def look(frame: Frame, decode: Callable[[], np.ndarray]) -> list[Problem]:
         codes = decode()

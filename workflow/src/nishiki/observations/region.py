@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from nishiki.capture.folder import Capture
-from nishiki.capture.frames import Frame, Photographed
+from nishiki.capture.frames import BaseCapture, Frame
 from nishiki.capture.goniometer import GoniometerCapture
 from nishiki.capture.seal import payload_files
 from nishiki.capture.turntable import TurntableCapture
@@ -24,7 +24,7 @@ MARGIN = 8
 """Least rim around the object in pixels, where the photograph has them: pictures need a rim."""
 
 
-def region_of(capture: Photographed, rows: int, columns: int) -> Region:
+def region_of(capture: BaseCapture, rows: int, columns: int) -> Region:
     """Return the region of interest, the whole picture if none; CaptureError (region-outside) if it exceeds that."""
     region = capture.settings.region_of_interest or (0, 0, rows, columns)
     row, column, height, width = region
@@ -87,13 +87,13 @@ def window_of(outer: Region, inner: Region) -> tuple[slice, slice]:
 
 
 AnyCapture = Capture | TurntableCapture | GoniometerCapture
-SomeCapture = TypeVar("SomeCapture", bound=Photographed)
+SomeCapture = TypeVar("SomeCapture", bound=BaseCapture)
 LIGHT = "light "
 """Prefix of a light's name in a list of omitted parts: the photograph under that light."""
 
 
 @dataclass(frozen=True)
-class Choice(Generic[SomeCapture]):
+class RegionChoice(Generic[SomeCapture]):
     """capture: without the files that are not needed; skipped: those files, by their part."""
 
     capture: SomeCapture
@@ -105,27 +105,29 @@ class Choice(Generic[SomeCapture]):
         return frozenset(name for names in self.skipped.values() for name in names)
 
 
-def chosen(capture: SomeCapture, without: Collection[str] = ()) -> Choice[SomeCapture]:
+def chosen(capture: SomeCapture, without: Collection[str] = ()) -> RegionChoice[SomeCapture]:
     """Remove these parts from the capture, and photographs taken only for them.
 
     without: names of parts (see `nishiki.engine.plan`), or 'light NAME'. White boards and dark frames that
     belong to no photograph that is left are left out with them.
     """
-    reduce = {"plane": _of_plane, "turntable": _of_turntable, "goniometer": _of_goniometer}[capture.geometry]
+    reduce = {"plane": _choose_plane, "turntable": _choose_turntable, "goniometer": _choose_goniometer}[
+        capture.geometry
+    ]
     return reduce(capture, set(without))
 
 
-def _of_plane(capture: Capture, without: set[str]) -> Choice[Capture]:
+def _choose_plane(capture: Capture, without: set[str]) -> RegionChoice[Capture]:
     dropped = {"flat": set(capture.frames_of("flat"))}
     dropped["check"] = set(capture.frames_of("check")) if "check" in without else set()
     dropped["held out"] = {f for f in capture.frames_of("sample") if LIGHT + f.light in without}
     left = [f for f in capture.observed if not any(f in some for some in dropped.values())]
     places = {capture.lights.find(f.light) for f in left}
     dropped["white"] = {f for f in capture.frames_of("white") if capture.lights.find(f.light) not in places}
-    return _reduced(capture, dropped)
+    return _remove_dropped(capture, dropped)
 
 
-def _of_turntable(capture: TurntableCapture, without: set[str]) -> Choice[TurntableCapture]:
+def _choose_turntable(capture: TurntableCapture, without: set[str]) -> RegionChoice[TurntableCapture]:
     dropped: dict[str, set[Frame]] = {}
     samples, whites = capture.frames_of("sample"), capture.frames_of("white")
     states = capture.states
@@ -140,7 +142,7 @@ def _of_turntable(capture: TurntableCapture, without: set[str]) -> Choice[Turnta
         # The frames stay listed: views, lights and exposure times are known from them without opening any.
         dropped["white"] = {f for f in whites if not f.polariser}
         dropped["dark"] = set(capture.frames_of("dark"))
-    choice = _reduced(capture, dropped)
+    choice = _remove_dropped(capture, dropped)
     kept, skipped = replace(choice.capture, states=states), dict(choice.skipped)
     if "photographs" in without:
         skipped["photographs"] = tuple(f.file for f in kept.observed)
@@ -152,12 +154,12 @@ def _of_turntable(capture: TurntableCapture, without: set[str]) -> Choice[Turnta
         skipped["mesh"], kept = (require(capture.settings.turntable.mesh),), replace(kept, mesh=None)
     if "scans" in without and capture.scans:
         skipped["scans"], kept = capture.settings.turntable.scans, replace(kept, scans=())
-    return Choice(kept, {part: files for part, files in skipped.items() if files})
+    return RegionChoice(kept, {part: files for part, files in skipped.items() if files})
 
 
-def _of_goniometer(capture: GoniometerCapture, without: set[str]) -> Choice[GoniometerCapture]:
+def _choose_goniometer(capture: GoniometerCapture, without: set[str]) -> RegionChoice[GoniometerCapture]:
     if capture.table is not None or "oblique" not in without:
-        return Choice(capture, {})
+        return RegionChoice(capture, {})
     from nishiki.goniometry.readings import assign_boards
 
     samples, whites = capture.observed, capture.frames_of("white")
@@ -165,7 +167,7 @@ def _of_goniometer(capture: GoniometerCapture, without: set[str]) -> Choice[Goni
     boards = assign_boards(_angles(left), _angles(whites))
     used = {int(i) for board in boards for i in board.which}
     dropped = {"oblique": set(samples) - set(left), "white": {f for i, f in enumerate(whites) if i not in used}}
-    return _reduced(capture, dropped)
+    return _remove_dropped(capture, dropped)
 
 
 def _angles(frames: Iterable[Frame]) -> np.ndarray:
@@ -174,7 +176,7 @@ def _angles(frames: Iterable[Frame]) -> np.ndarray:
     return np.array(rows, np.float64).reshape(-1, 4)
 
 
-def _reduced(capture: SomeCapture, dropped: dict[str, set[Frame]]) -> Choice[SomeCapture]:
+def _remove_dropped(capture: SomeCapture, dropped: dict[str, set[Frame]]) -> RegionChoice[SomeCapture]:
     """Remove dropped frames, and dark frames of exposure times that then no frame has."""
     gone = set().union(*dropped.values()) if dropped else set()
     if any(f.role in ("sample", "check", "white") for f in gone):
@@ -185,7 +187,7 @@ def _reduced(capture: SomeCapture, dropped: dict[str, set[Frame]]) -> Choice[Som
     files = {
         part: tuple(name for f in capture.frames if f in some for name in f.names) for part, some in dropped.items()
     }
-    return Choice(replace(capture, frames=frames), {part: names for part, names in files.items() if names})
+    return RegionChoice(replace(capture, frames=frames), {part: names for part, names in files.items() if names})
 
 
 def unneeded_darks(frames: Iterable[Frame]) -> set[Frame]:

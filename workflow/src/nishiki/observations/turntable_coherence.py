@@ -10,11 +10,11 @@ from nishiki.errors import UserError
 from nishiki.formats.problems import Problem, error, warning
 from nishiki.geometry.camera import Camera, cameras_of_matrices
 from nishiki.geometry.mesh import Mesh, face_vectors, read_triangles
-from nishiki.installation import installed
+from nishiki.installation import is_installed
 
 if TYPE_CHECKING:
     from nishiki.geometry.coherence import Coherence
-    from nishiki.geometry.placement import Placement
+    from nishiki.geometry.placement import MeshPlacement
     from nishiki.observations.frames import FrameReader
 
 
@@ -39,7 +39,7 @@ def mesh_problems(
     from nishiki.geometry.placement import measure_placement, move_mesh  # compiled; reports read the constants above
 
     block = capture.settings.turntable
-    if capture.mesh is None or block.mesh is None or not installed("trimesh"):
+    if capture.mesh is None or block.mesh is None or not is_installed("trimesh"):
         return []
     try:
         vertices, triangles = read_triangles(capture.mesh)
@@ -68,7 +68,7 @@ def mesh_problems(
     return [kind("mesh-placement", block.mesh, what, expected=expected, found=facts, remedy=remedy)]
 
 
-def _remedy(block: Turntable, found: "Placement", world: np.ndarray) -> str:
+def _remedy(block: Turntable, found: "MeshPlacement", world: np.ndarray) -> str:
     """Return the keys that move the mesh there, in addition to given ones; world: factors on its axes."""
     scale, order, signs = block.mesh_placement
     old = list(found.order)
@@ -90,7 +90,7 @@ bits 0.037, a chair of thin parts 0.039; with half of the views moved by 4 % of 
 FEWEST_VIEWS = 4  # views
 
 
-class Pictures:
+class DisplayPictures:
     """Small display pictures of the views, for finding silhouettes where none are given."""
 
     def __init__(self, capture: TurntableCapture):

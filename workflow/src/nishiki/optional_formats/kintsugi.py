@@ -9,7 +9,7 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.colour.colour import decode, srgb_encode
 from nishiki.formats.banded_pictures import png_bytes
-from nishiki.formats.textured_surface import NORMAL_REFLECTANCE, Glb, coded, sample
+from nishiki.formats.textured_surface import NORMAL_REFLECTANCE, Glb, quantise, sample
 
 FOLDER = "exports/kintsugi"
 TABLES = "basisFunctions.csv"
@@ -60,7 +60,7 @@ class LobeBasis:
             wanted = peak * np.interp(width, own, shares[:, number])
             largest = float(np.percentile(wanted[wanted > 0], 99.9)) if (wanted > 0).any() else 0.0
             tables[number] = largest * colour[:, None] * lobe
-            weights[..., number] = coded(wanted / max(largest, 1e-12))
+            weights[..., number] = quantise(wanted / max(largest, 1e-12))
         return cls(tables, weights)
 
     def text(self) -> str:
@@ -96,14 +96,14 @@ def write_kintsugi(context: Context, surface: Any) -> dict:
     weights = [texture(f"weights{b:02}{b + 3:02}", basis.weights[..., b : b + 4]) for b in range(0, BASES, 4)]
     extras = {
         "diffuseTexture": {"index": texture("diffuse", look.colour)},
-        "diffuseConstantTexture": {"index": texture("constant", coded(np.full((1, 1, 3), FIRST_STEP)))},
-        "specularTexture": {"index": texture("specular", coded(normal))},
+        "diffuseConstantTexture": {"index": texture("constant", quantise(np.full((1, 1, 3), FIRST_STEP)))},
+        "specularTexture": {"index": texture("specular", quantise(normal))},
         "basisFunctionsUri": put(TABLES, basis.text().encode("ascii")),
         "specularWeights": {"stride": 4, "textures": [{"index": each} for each in weights]},
     }
     surface.add_to(glb, texture, extras=extras)
     surface.save(glb, f"{FOLDER}/object.glb")
-    found = surface.compare({"kintsugi": viewed(look, basis)})
+    found = surface.compare({"kintsugi": draw_as_viewer(look, basis)})
     return {
         "vertices": len(surface.mesh.positions),
         **look.figures(),
@@ -111,7 +111,7 @@ def write_kintsugi(context: Context, surface: Any) -> dict:
     }
 
 
-def viewed(look: Any, basis: LobeBasis) -> Callable[[Any], np.ndarray]:
+def draw_as_viewer(look: Any, basis: LobeBasis) -> Callable[[Any], np.ndarray]:
     """Render visible points (`SeenPoints`) with these textures as the viewer's shader does.
 
     Its masking G = 0.5 / max(0.05, n.v sqrt(S(l)^2 + n.l S(v))) is, on a smooth surface, by sqrt(2 n.l / (n.l + n.v))
@@ -119,7 +119,7 @@ def viewed(look: Any, basis: LobeBasis) -> Callable[[Any], np.ndarray]:
     """
     colour = decode(look.colour / 255, "srgb")
 
-    def shown(points: Any) -> np.ndarray:
+    def draw(points: Any) -> np.ndarray:
         body = sample(colour, points.places)
         weights, roughness = (sample(each, points.places) / 255 for each in (basis.weights, look.roughness[..., None]))
         irradiance, strength = points.factors()
@@ -132,7 +132,7 @@ def viewed(look: Any, basis: LobeBasis) -> Callable[[Any], np.ndarray]:
         gloss = rising * (masking * cos_i * strength)[:, None]
         return look.scale * (body * irradiance + np.pi * gloss)
 
-    return shown
+    return draw
 
 
 def distribution(tables: np.ndarray, weights: np.ndarray, cos_phi: np.ndarray) -> np.ndarray:

@@ -20,11 +20,11 @@ from nishiki.artifacts.packed import (
     PackedScene,
     PackedStage,
     days_of,
-    ended,
+    end_time,
     ids,
     is_address,
     json_text,
-    started,
+    start_time,
 )
 from nishiki.artifacts.provenance import canonical
 
@@ -51,7 +51,7 @@ def lido_text(scene: PackedScene) -> str:
     loader = jinja2.PackageLoader("nishiki.optional_formats", ".")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     words = {name: f"{TERMS}lido{number}" for name, number in NAMES.items()}
-    facts = {"identifier": f"{scene.name}/sha256:{scene.digest}", "made": _made(scene), "days": days}
+    facts = {"identifier": f"{scene.name}/sha256:{scene.digest}", "made": _is_made(scene), "days": days}
     text = environment.get_template("lido.xml.j2").render(scene=scene, is_address=is_address, **facts, **words)
     try:
         record = XML.fromstring(text)
@@ -74,8 +74,8 @@ CONTEXT = {
 def crm_graph(scene: PackedScene) -> Entity:
     """Build the graph of a scene: object, digitisation, capture, stages, and the crate that holds them."""
     folders = ["capture/", *(stage.folder for stage in scene.stages)]
-    crate = _node("./", "dig:D1_Digital_Object", scene.said("title") or scene.name)
-    crate |= {"crm:P106_is_composed_of": ids(folders), "crm:P129_is_about": {"@id": _named("object")}}
+    crate = _node("./", "dig:D1_Digital_Object", scene.about_value("title") or scene.name)
+    crate |= {"crm:P106_is_composed_of": ids(folders), "crm:P129_is_about": {"@id": _identifier("object")}}
     software = _node("code/Snakefile", "dig:D14_Software", f"Nishiki {scene.version}")
     stages = [entity for stage in scene.stages for entity in _stage(stage)]
     described = [*_object(scene), *_production_node(scene), *_digitisation_node(scene), *_capture(scene)]
@@ -84,61 +84,63 @@ def crm_graph(scene: PackedScene) -> Entity:
 
 def _object(scene: PackedScene) -> list[Entity]:
     """Describe the object, its keeper and its place."""
-    kind = "crm:E22_Human-Made_Object" if _made(scene) else "crm:E19_Physical_Object"
-    node = _node(_named("object"), kind, scene.said("title"))
+    kind = "crm:E22_Human-Made_Object" if _is_made(scene) else "crm:E19_Physical_Object"
+    node = _node(_identifier("object"), kind, scene.about_value("title"))
     nodes = [node]
-    if scene.said("object_id"):
-        node["crm:P48_has_preferred_identifier"] = _appellation_node("crm:E42_Identifier", scene.said("object_id"))
-    if scene.said("title"):
-        node["crm:P1_is_identified_by"] = _appellation_node("crm:E41_Appellation", scene.said("title"))
-    if scene.said("object_kind"):
-        node["crm:P2_has_type"] = {"@type": "crm:E55_Type", "label": scene.said("object_kind")}
-    if scene.said("object_holder"):
-        node["crm:P50_has_current_keeper"] = {"@id": _named("holder")}
-        nodes.append(_actor("holder", scene.said("object_holder")))
-    if scene.said("object_place"):
-        place = {"@type": "crm:E53_Place", "label": scene.said("object_place")}
-        place["crm:P1_is_identified_by"] = _appellation_node("crm:E41_Appellation", scene.said("object_place"))
+    if scene.about_value("object_id"):
+        node["crm:P48_has_preferred_identifier"] = _appellation_node(
+            "crm:E42_Identifier", scene.about_value("object_id")
+        )
+    if scene.about_value("title"):
+        node["crm:P1_is_identified_by"] = _appellation_node("crm:E41_Appellation", scene.about_value("title"))
+    if scene.about_value("object_kind"):
+        node["crm:P2_has_type"] = {"@type": "crm:E55_Type", "label": scene.about_value("object_kind")}
+    if scene.about_value("object_holder"):
+        node["crm:P50_has_current_keeper"] = {"@id": _identifier("holder")}
+        nodes.append(_actor("holder", scene.about_value("object_holder")))
+    if scene.about_value("object_place"):
+        place = {"@type": "crm:E53_Place", "label": scene.about_value("object_place")}
+        place["crm:P1_is_identified_by"] = _appellation_node("crm:E41_Appellation", scene.about_value("object_place"))
         node["crm:P55_has_current_location"] = place
     return nodes
 
 
-def _made(scene: PackedScene) -> bool:
-    return bool(scene.said("object_maker") or scene.said("object_made"))
+def _is_made(scene: PackedScene) -> bool:
+    return bool(scene.about_value("object_maker") or scene.about_value("object_made"))
 
 
 def _production_node(scene: PackedScene) -> list[Entity]:
     """Describe the production of the object: people and dates."""
-    if not _made(scene):
+    if not _is_made(scene):
         return []
-    event = _node(_named("production"), "crm:E12_Production", "")
-    event["crm:P108_has_produced"] = {"@id": _named("object")}
+    event = _node(_identifier("production"), "crm:E12_Production", "")
+    event["crm:P108_has_produced"] = {"@id": _identifier("object")}
     nodes = [event]
-    if scene.said("object_maker"):
-        event["crm:P14_carried_out_by"] = {"@id": _named("maker")}
-        nodes.append(_actor("maker", scene.said("object_maker")))
-    if scene.said("object_made"):
-        event["crm:P4_has_time-span"] = _time_span(scene.said("object_made"))
+    if scene.about_value("object_maker"):
+        event["crm:P14_carried_out_by"] = {"@id": _identifier("maker")}
+        nodes.append(_actor("maker", scene.about_value("object_maker")))
+    if scene.about_value("object_made"):
+        event["crm:P4_has_time-span"] = _time_span(scene.about_value("object_made"))
     return nodes
 
 
 def _digitisation_node(scene: PackedScene) -> list[Entity]:
     """Describe the digitisation: object, photographer, date, camera and technique."""
-    event = _node(_named("digitisation"), "dig:D2_Digitization_Process", f"Photographs of {scene.name}")
-    event |= {"dig:L1_digitized": {"@id": _named("object")}, "dig:L20_has_created": {"@id": "capture/"}}
+    event = _node(_identifier("digitisation"), "dig:D2_Digitization_Process", f"Photographs of {scene.name}")
+    event |= {"dig:L1_digitized": {"@id": _identifier("object")}, "dig:L20_has_created": {"@id": "capture/"}}
     nodes = [event]
-    if scene.said("creator"):
-        event["crm:P14_carried_out_by"] = {"@id": _named("creator")}
-        nodes.append(_actor("creator", scene.said("creator")))
-    if scene.said("date"):
-        event["crm:P4_has_time-span"] = _time_span(scene.said("date"))
+    if scene.about_value("creator"):
+        event["crm:P14_carried_out_by"] = {"@id": _identifier("creator")}
+        nodes.append(_actor("creator", scene.about_value("creator")))
+    if scene.about_value("date"):
+        event["crm:P4_has_time-span"] = _time_span(scene.about_value("date"))
     if scene.technique:
         event["crm:P32_used_general_technique"] = {"@type": "crm:E55_Type", "label": scene.technique}
     if scene.camera:
-        event["dig:L12_happened_on_device"] = {"@id": _named("camera")}
-        nodes.append(_node(_named("camera"), "dig:D8_Digital_Device", scene.camera))
-    if scene.said("notes"):
-        event["crm:P3_has_note"] = scene.said("notes")
+        event["dig:L12_happened_on_device"] = {"@id": _identifier("camera")}
+        nodes.append(_node(_identifier("camera"), "dig:D8_Digital_Device", scene.camera))
+    if scene.about_value("notes"):
+        event["crm:P3_has_note"] = scene.about_value("notes")
     return nodes
 
 
@@ -148,26 +150,26 @@ def _capture(scene: PackedScene) -> list[Entity]:
     capture["crm:P1_is_identified_by"] = _appellation_node("crm:E42_Identifier", f"sha256:{scene.digest}")
     if scene.scale:
         capture["crm:P3_has_note"] = scene.scale
-    rights = scene.said("rights")
+    rights = scene.about_value("rights")
     if not rights:
         return [capture]
-    place = rights if is_address(rights) else _named("rights")
+    place = rights if is_address(rights) else _identifier("rights")
     capture["crm:P104_is_subject_to"] = {"@id": place}
     return [capture, _node(place, "crm:E30_Right", rights)]
 
 
 def _stage(stage: PackedStage) -> list[Entity]:
     """Describe the run of a stage, its settings and its result."""
-    run = _node(_named(f"run-{stage.name}"), "dig:D10_Software_Execution", f"{stage.name}: {stage.does}")
+    run = _node(_identifier(f"run-{stage.name}"), "dig:D10_Software_Execution", f"{stage.name}: {stage.does}")
     run |= {
         "dig:L23_used_software_or_firmware": {"@id": "code/Snakefile"},
         "dig:L2_used_as_source": ids(stage.sources),
-        "dig:L13_used_parameters": {"@id": _named(f"settings-{stage.name}")},
+        "dig:L13_used_parameters": {"@id": _identifier(f"settings-{stage.name}")},
         "dig:L11_had_output": {"@id": stage.folder},
-        "dig:L31_has_starting_date-time": _moment(started(stage)),
-        "dig:L32_has_ending_date-time": _moment(ended(stage)),
+        "dig:L31_has_starting_date-time": _moment(start_time(stage)),
+        "dig:L32_has_ending_date-time": _moment(end_time(stage)),
     }
-    settings = _node(_named(f"settings-{stage.name}"), "dig:D1_Digital_Object", f"settings of {stage.name}")
+    settings = _node(_identifier(f"settings-{stage.name}"), "dig:D1_Digital_Object", f"settings of {stage.name}")
     settings["crm:P190_has_symbolic_content"] = canonical(stage.manifest["settings"])
     result = _node(stage.folder, "dig:D1_Digital_Object", f"{stage.name} {stage.manifest['key']}")
     digest = stage.files["artifact.json"][1]
@@ -187,7 +189,7 @@ def _moment(text: str) -> Entity:
 
 
 def _actor(name: str, text: str) -> Entity:
-    actor = _node(_named(name), "crm:E39_Actor", text)
+    actor = _node(_identifier(name), "crm:E39_Actor", text)
     actor["crm:P1_is_identified_by"] = _appellation_node("crm:E41_Appellation", text)
     return actor
 
@@ -200,12 +202,12 @@ def _node(place: str, kind: str, label: str) -> dict[str, Any]:
     return {"@id": place, "@type": kind, **({"label": label} if label else {})}
 
 
-def _named(name: str) -> str:
+def _identifier(name: str) -> str:
     """Return an identifier of the crate's description."""
     return f"{METADATA}#{name}"
 
 
-class Record(NamedTuple):
+class SceneRecord(NamedTuple):
     """A description of a packed scene."""
 
     standard: str
@@ -214,8 +216,8 @@ class Record(NamedTuple):
 
 CRM = "CIDOC Conceptual Reference Model 7.1 with CRMdig 3.2"
 RECORDS = {
-    LIDO: Record("LIDO 1.1", lido_text),
-    CIDOC_CRM: Record(CRM, lambda scene: json_text(crm_graph(scene))),
+    LIDO: SceneRecord("LIDO 1.1", lido_text),
+    CIDOC_CRM: SceneRecord(CRM, lambda scene: json_text(crm_graph(scene))),
 }
 """Descriptions by the names of their files in the crate."""
 IN_WORDS = f"""\

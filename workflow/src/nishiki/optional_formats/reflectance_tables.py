@@ -135,7 +135,7 @@ def mean_body(scene: Any, labels: np.ndarray | None, region: int) -> tuple[np.nd
     """
     count, colours, squares, shadings = 0, np.zeros(3), np.zeros(3), np.zeros(3)
     for rows in scene.bands():
-        chosen = scene.known(rows)
+        chosen = scene.read_known(rows)
         if labels is not None:
             chosen &= labels[rows] == region
         colour = scene.srgb(rows)[chosen].astype(np.float64)

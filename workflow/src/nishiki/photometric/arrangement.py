@@ -13,12 +13,12 @@ import numpy as np
 
 from nishiki.photometric.consistency import SURE
 from nishiki.photometric.flags import NOISE
-from nishiki.photometric.lambert_fit import none_where_undetermined
+from nishiki.photometric.lambert_fit import return_none_if_undetermined
 from nishiki.photometric.order_trials import (
     AXES,
     TILE,
+    OrderTrial,
     Tiles,
-    Trial,
     cut_tiles,
     measure_shading,
     measure_slopes,
@@ -68,7 +68,7 @@ class Arrangement:
         return not self.rearranged and not self.unexplained
 
 
-@none_where_undetermined
+@return_none_if_undetermined
 def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
     """Find the order and the axes of the lamps that the photographs show.
 
@@ -89,7 +89,7 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
     found = _arrange(values, lamps)
     if found is None or found.as_stated:
         return found
-    again = None if found.unexplained else _arrange(values, turned(lamps[list(found.order)], found.axes))
+    again = None if found.unexplained else _arrange(values, turn_axes(lamps[list(found.order)], found.axes))
     if again is not None and again.as_stated:
         moved, plain = _pattern(np.arange(len(values)), np.array(found.order))
         if plain or moved <= _few(len(values)):
@@ -126,7 +126,7 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
                 for half in (np.eye(3), np.diag([-1.0, -1.0, 1.0]))
             ]
         for turn in turns:
-            following: Trial | None = trial
+            following: OrderTrial | None = trial
             for _ in range(TURNS):
                 if following is None:
                     break
@@ -162,7 +162,7 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
     )
 
 
-def _add(trials: dict[tuple[int, ...], Trial], tiles: Tiles, order: np.ndarray) -> Trial | None:
+def _add(trials: dict[tuple[int, ...], OrderTrial], tiles: Tiles, order: np.ndarray) -> OrderTrial | None:
     """Try an order that was not tried before; None where it was, or where it cannot be fitted."""
     key = tuple(order.tolist())
     trial = None if key in trials else try_order(tiles, order)
@@ -184,7 +184,7 @@ def _complexity(order: np.ndarray, axes: int) -> tuple[int, ...]:
     return (1 + int(axes > 0), 2 * count + moved, axes)
 
 
-def turned(directions: np.ndarray, axes: str) -> np.ndarray:
+def turn_axes(directions: np.ndarray, axes: str) -> np.ndarray:
     """Turn vectors (..., 3) to the axes of `Arrangement.axes`: `x,-y` has y mirrored."""
     result = directions.copy()
     for place, name in enumerate(axes.split(",")):
@@ -193,7 +193,7 @@ def turned(directions: np.ndarray, axes: str) -> np.ndarray:
     return result
 
 
-def _find_exchange(tiles: Tiles, trial: Trial) -> np.ndarray | None:
+def _find_exchange(tiles: Tiles, trial: OrderTrial) -> np.ndarray | None:
     """Find the order in which the lamps of two photographs are exchanged, where the tiles of both agree on it.
 
     The normals are those of all photographs, which two of many hardly turn. Gloss makes exchanges look better as well,
@@ -216,11 +216,11 @@ def _find_exchange(tiles: Tiles, trial: Trial) -> np.ndarray | None:
     return order
 
 
-def _curl(trial: Trial, axes: int) -> float:
+def _curl(trial: OrderTrial, axes: int) -> float:
     return float(np.sqrt(np.nanmean(trial.energies[:, axes]) / np.nanmean(trial.energies)) / 2)
 
 
-def _compare(first: tuple[Trial, int], other: tuple[Trial, int]) -> tuple[float, float, float]:
+def _compare(first: tuple[OrderTrial, int], other: tuple[OrderTrial, int]) -> tuple[float, float, float]:
     """Return the standard errors by which residual and curl of another trial with its axes are below the first's.
 
     The residual is that of the photographs whose lamps differ; third, the part of it that is left.
@@ -240,7 +240,7 @@ def _compare(first: tuple[Trial, int], other: tuple[Trial, int]) -> tuple[float,
     return sigma, float(_in_errors((before - after) / (before + after))), left
 
 
-def _shares(one: tuple[Trial, int]) -> np.ndarray:
+def _shares(one: tuple[OrderTrial, int]) -> np.ndarray:
     """Compute the curl of every tile as a share of the energy of all four derivatives: 0: a surface, 1/4: noise."""
     return one[0].energies[:, one[1]] / one[0].energies.sum(axis=1)
 
@@ -257,7 +257,7 @@ def _in_errors(differences: np.ndarray) -> np.ndarray:
     return np.where(error > 0, np.copysign(rare, mean), 0.0)
 
 
-def _beyond_doubt(first: tuple[Trial, int], other: tuple[Trial, int]) -> bool:
+def _beyond_doubt(first: tuple[OrderTrial, int], other: tuple[OrderTrial, int]) -> bool:
     """Check whether one test is sure, and the other does not contradict it.
 
     The residual alone is believed of orders by which people err, and not of one in thousands that fits by chance.

@@ -36,8 +36,8 @@ from nishiki.photometric.lambert_fit import (
     Fit,
     fit_lambert,
     median_of_lights,
-    none_where_undetermined,
     regress,
+    return_none_if_undetermined,
     spread_pixels,
 )
 
@@ -61,7 +61,7 @@ class BoardPairs:
     alone: np.ndarray  # (lights,) bool: photographs that no board explains
 
 
-@none_where_undetermined
+@return_none_if_undetermined
 def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> BoardPairs | None:
     """Find the boards that belong to the photographs.
 

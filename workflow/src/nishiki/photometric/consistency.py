@@ -25,8 +25,8 @@ from nishiki.photometric.lambert_fit import (
     dot_lamps,
     fit_lambert,
     median_of_lights,
-    none_where_undetermined,
     regress,
+    return_none_if_undetermined,
     spread_pixels,
 )
 from nishiki.photometric.order_trials import STEEPEST
@@ -106,7 +106,7 @@ class Consistency:
         return {int(j): float(angle[j]) for j in found}
 
 
-@none_where_undetermined
+@return_none_if_undetermined
 def examine_photographs(values: np.ndarray, lamps: np.ndarray) -> Consistency | None:
     """Compare every photograph of a plane scene with its prediction from the others.
 
@@ -291,13 +291,13 @@ def _compare(
     sigma = np.sqrt(np.diag(fit.covariance))
     dark = (fit.gains + SURE * sigma < FAINT) & (level < FAINT * np.nanmedian(level))
     failed = tuple(np.flatnonzero(dark).tolist())
-    repeats = _repeated(values, predictions, residual, failed)
+    repeats = _find_repeated(values, predictions, residual, failed)
     shown = residual, fit.gains, sigma, offset, offset_sigma, found, sigma_deg
     matt = 1 - may_shine(directions.reshape(count, -1, 3), fit.normals).mean(axis=1)
     return Consistency(*shown, failed, repeats, *ambient, fit.covariance, matt)
 
 
-def _repeated(
+def _find_repeated(
     values: np.ndarray, predictions: np.ndarray, residual: np.ndarray, failed: tuple[int, ...]
 ) -> tuple[tuple[int, int], ...]:
     """Find pairs of photographs that differ far less than their lamps should make them, and than neighbours do."""
@@ -339,7 +339,7 @@ class NearLamps:
     even: bool  # whether these strengths are those of lamps, see `nishiki.photometric.consistency.is_even`
 
     @property
-    def shown(self) -> bool:
+    def is_certain(self) -> bool:
         """Return whether the lamps are near beyond doubt."""
         sure = self.width > SURE * self.sigma and self.left < EXPLAINED
         return sure and self.agrees and self.even and self.misfit < LARGEST_MISFIT
@@ -347,10 +347,10 @@ class NearLamps:
     @property
     def matters(self) -> bool:
         """Return whether the lamps are near, and far lamps in their place would turn the normals."""
-        return self.shown and self.turn_deg > LEAST_TURN_DEG
+        return self.is_certain and self.turn_deg > LEAST_TURN_DEG
 
 
-@none_where_undetermined
+@return_none_if_undetermined
 def measure_width(values: np.ndarray, vectors: np.ndarray) -> NearLamps | None:
     """Fit the width of the picture in the unit of the lamps' vectors.
 

@@ -218,7 +218,7 @@ def refine_normals(
     """
     from scipy.linalg import helmert
 
-    observations = np.ascontiguousarray(gloss.balanced(observations), dtype=np.float32)
+    observations = np.ascontiguousarray(gloss.balance(observations), dtype=np.float32)
     shape = observations.shape
     if observations.ndim != 4 or np.shape(normals) != (*shape[1:3], 3) or len(directions) != shape[0]:
         raise UserError(

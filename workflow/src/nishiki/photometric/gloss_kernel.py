@@ -79,7 +79,7 @@ def tangents(n, t):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def transmitted(cosine, table):
+def look_up_transmittance(cosine, table):
     """Look up the body's transmittance at this cosine (0 to 1), relative to frontal, and its slope."""
     place = max(min(cosine, 1.0), 0.0) * NODES_PER_UNIT
     node = min(int(place), NODES_PER_UNIT - 1)
@@ -95,7 +95,7 @@ def predict(n, pixel, scene, settings, t, gradient):
     tangents(n, t)
     root = np.sqrt(np.float64(rotation.shape[0]))
     kappa, tilt = settings.gloss_error**2, settings.tilt_error**2
-    view, view_slope = transmitted(n[2], table)
+    view, view_slope = look_up_transmittance(n[2], table)
     for j in range(known.size):
         c = n[0] * lights[j, 0] + n[1] * lights[j, 1] + n[2] * lights[j, 2]
         if not (known[j] and c > 0.0):
@@ -103,7 +103,7 @@ def predict(n, pixel, scene, settings, t, gradient):
                 rows[k, j] = 1.0 if k == VAR_LEVEL or k == VAR_COLOUR else 0.0
             continue
         light = lights[j]
-        enter, enter_slope = transmitted(c, table)
+        enter, enter_slope = look_up_transmittance(c, table)
         along, by_view = (enter + c * enter_slope) * view, c * enter * view_slope
         ls = light[0] * t[0] + light[1] * t[1] + light[2] * t[2]
         lt = light[0] * t[3] + light[1] * t[4] + light[2] * t[5]
@@ -223,7 +223,7 @@ def gauss_newton(y, rows, rho, out):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def moved(n, t, s, r, out):
+def move_normal(n, t, s, r, out):
     """Move the unit normal by the tangential step (s, r), limited and never grazing; return the step's length."""
     length = np.sqrt(s * s + r * r)
     part = LARGEST_STEP / length if length > LARGEST_STEP else 1.0
@@ -273,7 +273,7 @@ def descend(pixel, scene, settings, n, work):
         det = d0 * d2 - equations[1] * equations[1]
         s = (d2 * equations[3] - equations[1] * equations[4]) / det
         r = (d0 * equations[4] - equations[1] * equations[3]) / det
-        length = moved(n, t, s, r, trial)
+        length = move_normal(n, t, s, r, trial)
     weigh(y, rows, rho, tolerance)
 
 

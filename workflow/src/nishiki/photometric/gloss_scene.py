@@ -79,14 +79,14 @@ def fit_scene_gloss(
     profile = nothing if start is None else replace(start, unit=unit)
     fits: list[RefinedNormals] = []
     for _ in range(ROUNDS if start is None else 1):
-        profile = strengthened(profile, tiles, fits or [None] * len(tiles)) if start is None else profile
-        fits = [refined(tile, profile) for tile in tiles]
+        profile = fit_strengths(profile, tiles, fits or [None] * len(tiles)) if start is None else profile
+        fits = [refine_tile(tile, profile) for tile in tiles]
     first = profile
     for _ in range(ROUNDS):
-        profile = step(tiles, fits, profile) if profile.colour is None else strengthened(profile, tiles, fits)
-        fits = [refined(tile, profile) for tile in tiles]
+        profile = step(tiles, fits, profile) if profile.colour is None else fit_strengths(profile, tiles, fits)
+        fits = [refine_tile(tile, profile) for tile in tiles]
     nothing = replace(nothing, transmission=profile.transmission)
-    without = [refined(tile, nothing) for tile in tiles]
+    without = [refine_tile(tile, nothing) for tile in tiles]
     gain = mean_cost(tiles, without) - mean_cost(tiles, fits)
     significant = bool(gain > WORTHWHILE)
     shown = profile if significant else replace(nothing, transmission=0.0)
@@ -114,7 +114,7 @@ def find_finishes(
 
     @cache  # profiles are told apart by identity
     def fits_of(profile: GlossProfile) -> list[RefinedNormals]:
-        return [refined(tile, profile) for tile in few]
+        return [refine_tile(tile, profile) for tile in few]
 
     starts = [[dielectric, other] for other in (nothing, *metals)]
     while starts and len(starts[0]) <= MOST_FINISHES:
@@ -183,7 +183,7 @@ def _settle(tiles, profiles, cells: int, fits_of) -> tuple[list[GlossProfile], n
             break
         for k, profile in enumerate(profiles):
             if profile.beta.any() and (labels == k).any():
-                profiles[k] = strengthened(profile, tiles, fits[k], [labels[tile.places] == k for tile in tiles])
+                profiles[k] = fit_strengths(profile, tiles, fits[k], [labels[tile.places] == k for tile in tiles])
     return profiles, labels, costs
 
 
@@ -197,7 +197,7 @@ def cell_costs(tiles: Sequence[GlossTile], fits: Sequence[RefinedNormals], count
     return total / np.maximum(values, 1)
 
 
-def strengthened(
+def fit_strengths(
     profile: GlossProfile,
     tiles: Sequence[GlossTile],
     fits: Sequence[RefinedNormals | None],
@@ -217,7 +217,7 @@ def strengthened(
     return profile.with_strengths(fit_gloss(histogram, ladder=profile.gamma).beta)
 
 
-def refined(tile: GlossTile, profile: GlossProfile) -> RefinedNormals:
+def refine_tile(tile: GlossTile, profile: GlossProfile) -> RefinedNormals:
     """Fit one tile jointly."""
     return refine_normals(
         tile.observations,

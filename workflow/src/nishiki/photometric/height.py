@@ -184,7 +184,7 @@ def integrate_bands(shape, read, write, *, pixel_pitch, method, iterations=(1e-5
             weight[band.core] = weights[band.inner]
         height, steps, residual = Laplace(shape, weight).solve(right, new, *iterations)
         parts, means = level_parts(bands, lambda rows: (height[rows], unit_normals(read, rows)[1]))
-        sums, sample, low, high = np.zeros(4), Sample(count, BOW_PIXELS), np.inf, -np.inf
+        sums, sample, low, high = np.zeros(4), HeightSample(count, BOW_PIXELS), np.inf, -np.inf
         for band, mean in zip(bands, means, strict=True):
             rows = slice(band.core.start, band.read.stop)  # and the row below
             gradients, valid, _ = slopes(read, rows, dtype, pixel_pitch)
@@ -283,7 +283,7 @@ def leftovers(height, gradients, valid, stop):
     return curl, np.count_nonzero(complete), total, np.count_nonzero(beside) + np.count_nonzero(below)
 
 
-class Sample:
+class HeightSample:
     """Valid pixels of a picture, evenly chosen as its bands come: at most `most` of `count`."""
 
     def __init__(self, count, most):

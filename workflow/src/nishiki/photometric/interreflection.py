@@ -36,7 +36,7 @@ DARK = 1e-9  # relative to white
 
 
 @dataclass(frozen=True)
-class Facets:
+class FacetGrid:
     """A coarse grid of the picture.
 
     observations (lights, rows, columns, channels), relative to white; valid (lights, rows, columns) bool; directions
@@ -49,11 +49,11 @@ class Facets:
     directions: np.ndarray
     fit: Callable[[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
-    def scaled(self, factor: float) -> Facets:
+    def scale(self, factor: float) -> FacetGrid:
         """Return facets so many times as bright."""
         return replace(self, observations=factor * self.observations)
 
-    def every(self, stride: int) -> Facets:
+    def every(self, stride: int) -> FacetGrid:
         """Select every stride-th facet each way."""
         values, valid = self.observations[:, ::stride, ::stride], self.valid[:, ::stride, ::stride]
         return replace(self, observations=np.ascontiguousarray(values), valid=np.ascontiguousarray(valid))
@@ -117,20 +117,20 @@ def form_factors(normals: np.ndarray, valid: np.ndarray) -> sparse.csr_array:
     return sparse.diags_array(1 / np.maximum(whole.sum(axis=1), 1)) @ whole
 
 
-def find_interreflection(facets: Facets) -> Interreflection:
+def find_interreflection(facets: FacetGrid) -> Interreflection:
     """Find the light that facets throw on each other, with their shape, in ROUNDS."""
     observations, directions = facets.observations, facets.directions
     shares, total = np.zeros_like(observations), np.maximum(observations.sum(axis=0), DARK)
     for _ in range(ROUNDS):
         normals, known, used = facets.fit(taken_off(observations, shares), facets.valid, directions)
         factors = form_factors(normals, known)
-        light = thrown(factors, observations, known)
+        light = light_between_facets(factors, observations, known)
         reflectance = reflectance_of(observations, lambert(normals, directions) + light, used) * known[..., None]
         shares = reflectance * light / total
     return Interreflection(shares, factors, known, reflectance)
 
 
-def thrown(factors: sparse.csr_array, radiance: np.ndarray, known: np.ndarray) -> np.ndarray:
+def light_between_facets(factors: sparse.csr_array, radiance: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return the light B (lights, rows, columns, channels) that facets throw on each other; radiance of that shape."""
     light, seen = np.zeros(radiance.shape), radiance[:, known]
     lights, facets, channels = seen.shape
@@ -150,7 +150,7 @@ def reflectance_of(observations: np.ndarray, light: np.ndarray, used: np.ndarray
     return np.clip(reflected / np.maximum(received, DARK), 0, 1)
 
 
-def left_out_errors(facets: Facets, found: Interreflection | None, folds: int) -> np.ndarray:
+def left_out_errors(facets: FacetGrid, found: Interreflection | None, folds: int) -> np.ndarray:
     """Return the mean error (lights,) of predicted radiance, each left out of the fit by turns; 0 without samples.
 
     found : thrown light to take off before the fit, and to predict with all its bounces; None: no such light.
@@ -165,7 +165,7 @@ def left_out_errors(facets: Facets, found: Interreflection | None, folds: int) -
         radiance = reflectance * cosines
         if found is not None:
             for _ in range(BOUNCES):
-                radiance = reflectance * (cosines + thrown(found.factors, radiance, found.known))
+                radiance = reflectance * (cosines + light_between_facets(found.factors, radiance, found.known))
         apart = np.abs(radiance - facets.observations[left]).mean(axis=-1)
         compared = facets.valid[left] & known
         errors[left] = apart.sum(axis=(1, 2), where=compared) / np.maximum(compared.sum(axis=(1, 2)), 1)

@@ -72,18 +72,18 @@ def quiet() -> Iterator[None]:
         yield
 
 
-def none_where_undetermined(compare: Callable[P, R]) -> Callable[P, R | None]:
+def return_none_if_undetermined(compare: Callable[P, R]) -> Callable[P, R | None]:
     """Return None from a comparison of photographs that determine nothing: black, saturated or not finite."""
 
     @functools.wraps(compare)
-    def compared(*args: P.args, **options: P.kwargs) -> R | None:
+    def compare_or_none(*args: P.args, **options: P.kwargs) -> R | None:
         with quiet():
             try:
                 return compare(*args, **options)
             except np.linalg.LinAlgError:
                 return None
 
-    return compared
+    return compare_or_none
 
 
 def spread_pixels(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -208,7 +208,7 @@ def distinct_sets(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def refit(stack, known, directions, min_lights, selected):
     """Run `refit_selection` with the project's constants (docs/stages/separate.md gives their reasons)."""
-    from nishiki.lanes import BLOCK, repeated
+    from nishiki.lanes import BLOCK, repeat_pixels
     from nishiki.photometric.refit import COVERAGE, refit_selection
 
     if min_lights < 3:
@@ -221,8 +221,8 @@ def refit(stack, known, directions, min_lights, selected):
     if pixels >= BLOCK:
         over_rows(refit_selection, -(-pixels // BLOCK), stack, known, lamps, np.float32(min_lights), selected)
     elif pixels:
-        known = known if known.shape[1] == 1 else repeated(known, BLOCK)
-        stack = repeated(stack, BLOCK)
+        known = known if known.shape[1] == 1 else repeat_pixels(known, BLOCK)
+        stack = repeat_pixels(stack, BLOCK)
         block = Selected(np.empty(stack.shape, np.bool_), np.empty(BLOCK, np.uint16), np.empty(BLOCK, np.uint16))
         refit_selection(0, 1, stack, known, lamps, np.float32(min_lights), block)
         for whole, values in zip(selected, block, strict=True):

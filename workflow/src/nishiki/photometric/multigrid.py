@@ -52,7 +52,7 @@ Rows = np.ndarray | RowsOnDisk
 
 
 @dataclass(frozen=True)
-class Window:
+class RowWindow:
     """Rows of a picture: `core` are to be computed, `read` with those they depend on, `inner` is the core in these."""
 
     core: slice
@@ -63,17 +63,17 @@ class Window:
         """Rows of the core, counted from the first that is read."""
         return slice(self.core.start - self.read.start, self.core.stop - self.read.start)
 
-    def coarser(self, levels: int) -> "Window":
+    def coarser(self, levels: int) -> "RowWindow":
         """Return the rows that these become after so many halvings."""
         halved = [slice(rows.start >> levels, -(-rows.stop >> levels)) for rows in (self.core, self.read)]
-        return Window(*halved)
+        return RowWindow(*halved)
 
 
-def windows(rows: int, step: int, margin: int) -> Iterator[Window]:
+def windows(rows: int, step: int, margin: int) -> Iterator[RowWindow]:
     """Cut 0 .. rows - 1 into cores of `step` rows, and read `margin` more on either side."""
     for start in range(0, rows, step):
         stop = min(start + step, rows)
-        yield Window(slice(start, stop), slice(max(start - margin, 0), min(stop + margin, rows)))
+        yield RowWindow(slice(start, stop), slice(max(start - margin, 0), min(stop + margin, rows)))
 
 
 def edges(weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -100,7 +100,7 @@ def laplacian(height: np.ndarray, weights: tuple[np.ndarray, np.ndarray]) -> np.
 
 
 @dataclass(frozen=True)
-class Level:
+class GridLevel:
     """A grid: `weights` of its pairs of neighbours, and the inverse of the diagonal of its Laplacian, 0 where that is.
 
     A pixel without neighbours of positive weight stays as it comes: the right-hand side does not ask for it.
@@ -110,7 +110,7 @@ class Level:
     inverse: np.ndarray
 
     @classmethod
-    def of(cls, weights: tuple[np.ndarray, np.ndarray]) -> "Level":
+    def of(cls, weights: tuple[np.ndarray, np.ndarray]) -> "GridLevel":
         """Return the level of these weights."""
         along, down = weights
         total = np.zeros((along.shape[0], down.shape[1]), along.dtype)
@@ -120,13 +120,13 @@ class Level:
         total[:-1] += down
         return cls(weights, np.divide(1, total, out=np.zeros_like(total), where=total > 0))
 
-    def coarser(self) -> "Level":
+    def coarser(self) -> "GridLevel":
         """Return the level of half as many rows and columns."""
         along, down = self.weights
         rows, columns = self.inverse.shape
         half = along.dtype.type(0.5)
         across = np.add.reduceat(along[:, 1::2], np.arange(0, rows, 2), axis=0) * half
-        return Level.of((across, np.add.reduceat(down[1::2], np.arange(0, columns, 2), axis=1) * half))
+        return GridLevel.of((across, np.add.reduceat(down[1::2], np.arange(0, columns, 2), axis=1) * half))
 
     def smooth(self, height: np.ndarray, right: np.ndarray, steps: tuple[float, ...]) -> np.ndarray:
         """Take steps of Jacobi's iteration, in place."""
@@ -144,7 +144,7 @@ class Level:
         return self.smooth(height, right, SMOOTHING[1:])
 
 
-def levels_of(finest: Level, count: int | None = None) -> list[Level]:
+def levels_of(finest: GridLevel, count: int | None = None) -> list[GridLevel]:
     """Return a level and the coarser ones, `count` in all or until 2 x 2 pixels are left."""
     levels = [finest]
     while len(levels) < count if count else max(levels[-1].inverse.shape) > 2:
@@ -152,7 +152,7 @@ def levels_of(finest: Level, count: int | None = None) -> list[Level]:
     return levels
 
 
-def descend(levels: list[Level], right: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
+def descend(levels: list[GridLevel], right: np.ndarray) -> tuple[list[tuple[np.ndarray, np.ndarray]], np.ndarray]:
     """Run the first half of a V cycle: heights and right-hand sides of the levels, and that below the last."""
     passed = []
     for level in levels:
@@ -164,7 +164,7 @@ def descend(levels: list[Level], right: np.ndarray) -> tuple[list[tuple[np.ndarr
     return passed, right
 
 
-def ascend(levels: list[Level], passed: list[tuple[np.ndarray, np.ndarray]], below: np.ndarray) -> np.ndarray:
+def ascend(levels: list[GridLevel], passed: list[tuple[np.ndarray, np.ndarray]], below: np.ndarray) -> np.ndarray:
     """Run the second half of a V cycle, from the heights below the last level."""
     for level, (height, right) in zip(reversed(levels), reversed(passed), strict=True):
         rows, columns = height.shape
@@ -200,11 +200,11 @@ class Laplace:
             coarse, at = self.levels(window, self.count + 1)[-1].weights, window.coarser(self.count)
             along[at.core] = coarse[0][at.inner]
             down[at.core] = coarse[1][at.inner]
-        self.below = levels_of(Level.of((along, down)))
+        self.below = levels_of(GridLevel.of((along, down)))
 
-    def levels(self, window: Window, count: int) -> list[Level]:
+    def levels(self, window: RowWindow, count: int) -> list[GridLevel]:
         """Return the finest levels of a window."""
-        return levels_of(Level.of(edges(self.weight[window.read])), count)
+        return levels_of(GridLevel.of(edges(self.weight[window.read])), count)
 
     def precondition(self, right: Rows, out: Rows) -> float:
         """Write one V cycle of a vector to `out`; return the scalar product of the two."""
@@ -223,7 +223,7 @@ class Laplace:
             gain += inner(values[window.inner], found)
         return gain
 
-    def image(self, window: Window, values: np.ndarray) -> np.ndarray:
+    def image(self, window: RowWindow, values: np.ndarray) -> np.ndarray:
         """Multiply a narrow window of a vector by the equations."""
         return laplacian(values, edges(self.weight[window.read]))[window.inner]
 

@@ -58,7 +58,7 @@ class Tiles:
 
 
 @dataclass(frozen=True)
-class Trial:
+class OrderTrial:
     """An order with its fit."""
 
     order: np.ndarray
@@ -107,7 +107,7 @@ def measure_shading(values: np.ndarray) -> float:
     return 1.4826 * float(np.nanmedian(np.abs(logarithms)))
 
 
-def try_order(tiles: Tiles, order: np.ndarray) -> Trial | None:
+def try_order(tiles: Tiles, order: np.ndarray) -> OrderTrial | None:
     """Fit normals with the lamps in this order, and measure misfit and curl of every tile."""
     count, number = tiles.values.shape[:2]
     lamps = tiles.lamps[order]
@@ -119,10 +119,10 @@ def try_order(tiles: Tiles, order: np.ndarray) -> Trial | None:
     misfit = np.stack([median_of_lights(sizes[:, patches == tile].T) for tile in range(number)], axis=1)
     flat = tiles.values.reshape(count, -1)
     normals = _robust_normals(flat, lamps, fit)
-    return Trial(order, fit, misfit, *measure_slopes(normals.reshape(number, TILE, TILE, 3), tiles.middles))
+    return OrderTrial(order, fit, misfit, *measure_slopes(normals.reshape(number, TILE, TILE, 3), tiles.middles))
 
 
-def tabulate_misfits(tiles: Tiles, trial: Trial, turn: np.ndarray) -> np.ndarray:
+def tabulate_misfits(tiles: Tiles, trial: OrderTrial, turn: np.ndarray) -> np.ndarray:
     """Measure the misfit (photographs, lamps, tiles) of every photograph under every lamp, relative to the albedo.
 
     The normals are those of a trial, turned; each photograph has the strength that fits its lamp. At most 1; 1 too

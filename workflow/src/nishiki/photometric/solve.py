@@ -116,7 +116,7 @@ def estimate_normals(
         `least_squares`: ordinary (weighted) least squares on the usable samples. `lobe`, the default: from there, a
         reflectance with a diffuse fall-off and a gloss lobe (`nishiki.photometric.lobe`), which chooses the samples
         again among the valid ones; it starts from all valid ones where the selection is not to be followed
-        (`distrusted`).
+        (`find_distrusted`).
     max_condition : float, optional
         Condition number of the weighted 3 x 3 normal matrix above which a pixel is flagged.
     noise : float, optional
@@ -180,7 +180,7 @@ def estimate_normals(
             raise UserError("normals: the solver 'lobe' takes no weights; use 'least_squares', or leave samples out")
         known = factors if valid is None else checked_valid(stack, valid, shape).view(np.uint8)
         if valid is not None and factors.shape == stack.shape:
-            factors = without_distrusted(stack, directions, factors, known, outputs, max_condition)
+            factors = replace_distrusted(stack, directions, factors, known, outputs, max_condition)
         shading = refine_lobe(stack, directions, factors, known, outputs, noise, max_condition)
         shading = shading.reshape(*shape[1:], 3)
     return replace(as_field(*outputs, shape[1:], solver), shading=shading)
@@ -211,17 +211,15 @@ def _near_field(observations, directions, samples, options):
     return replace(field, **whole)
 
 
-def without_distrusted(stack, directions, usable, known, outputs, max_condition):
-    """Choose samples to start from: all valid ones where `distrusted` rejects the selected ones.
+def replace_distrusted(stack, directions, usable, known, outputs, max_condition):
+    """Choose samples to start from: all valid ones where `find_distrusted` rejects the selected ones.
 
     The Lambertian estimates of those pixels in the outputs are made anew, in place.
     """
-    from nishiki.photometric.solve import SUSPECT, distrusted
-
     if not (outputs.scalars[2] > SUSPECT).any():
         return usable
     known = np.broadcast_to(known, usable.shape)
-    again = distrusted(stack, directions, usable, known, outputs)
+    again = find_distrusted(stack, directions, usable, known, outputs)
     if not again.size:
         return usable
     usable = usable.copy()
@@ -304,7 +302,7 @@ def sample_weights(stack, usable, weights, shape):
     return np.where(usable, weights, np.float32(0))
 
 
-def distrusted(stack, directions, usable, known, outputs):
+def find_distrusted(stack, directions, usable, known, outputs):
     """Find the pixels whose selected samples are not to be followed.
 
     Parameters

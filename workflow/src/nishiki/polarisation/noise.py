@@ -117,7 +117,7 @@ class Series:
         each = self._noise_of_planes(part, rows)
         return sum(level for level, _ in each)[None], sum(count for _, count in each)[None]
 
-    def noise_shared(self, part: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]:
+    def share_noise(self, part: np.ndarray, rows: slice) -> tuple[np.ndarray, np.ndarray]:
         """Compute these factors in the covariances (planes, d, rows, columns, channels) of planes with differences."""
         kinds = self.kinds
         if self.inverse is None:

@@ -53,13 +53,13 @@ class Arm:
     polariser_angle: float = 0.0
     offset: float = 0.0
 
-    def generated(self, angle: float) -> np.ndarray:
+    def generate(self, angle: float) -> np.ndarray:
         """Compute the Stokes vector (4,) of unit intensity that leaves the generator turned to `angle`."""
         if self.retardance is None:
             return 2 * polariser(angle + self.offset)[:, 0]
         return retarder(self.retardance, angle + self.offset) @ (2 * polariser(self.polariser_angle)[:, 0])
 
-    def analysed(self, angle: float) -> np.ndarray:
+    def analyse(self, angle: float) -> np.ndarray:
         """Compute the row (4,) by which the analyser turned to `angle` weighs an incoming Stokes vector."""
         if self.retardance is None:
             return polariser(angle + self.offset)[0]
@@ -71,7 +71,7 @@ def design_matrix(generator: Arm, analyser: Arm, angles: np.ndarray) -> np.ndarr
 
     angles (n, 2) radians: generator, analyser.
     """
-    return np.array([np.kron(analyser.analysed(a), generator.generated(g)) for g, a in angles])
+    return np.array([np.kron(analyser.analyse(a), generator.generate(g)) for g, a in angles])
 
 
 LINEAR = tuple(4 * row + column for row in range(3) for column in range(3))

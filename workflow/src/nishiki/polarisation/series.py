@@ -116,7 +116,7 @@ def find_order(series: np.ndarray, design: np.ndarray) -> SeriesOrder | None:
     if (best != stated).sum() == 2:
         changes = first + _changes(rest, products, stated)
         pairs = np.argwhere(np.triu(changes <= AS_GOOD * misfit(best), 1))
-        found = (tuple(int(n) for n in _exchanged(stated, *pair)) for pair in pairs)
+        found = (tuple(int(n) for n in _swap(stated, *pair)) for pair in pairs)
         others = [order for order in found if order != tuple(best.tolist())]
     return SeriesOrder(tuple(best.tolist()), tuple(others), first / variation, misfit(best) / variation)
 
@@ -142,11 +142,11 @@ def _exchange(rest: np.ndarray, products: np.ndarray, order: np.ndarray) -> np.n
         i, j = np.unravel_index(np.argmin(changes), changes.shape)
         if changes[i, j] > (WORTH - 1) * float((rest * products[np.ix_(order, order)]).sum()):
             break
-        order = _exchanged(order, int(i), int(j))
+        order = _swap(order, int(i), int(j))
     return order
 
 
-def _exchanged(order: np.ndarray, i: int, j: int) -> np.ndarray:
+def _swap(order: np.ndarray, i: int, j: int) -> np.ndarray:
     result = order.copy()
     result[[i, j]] = order[[j, i]]
     return result

@@ -104,11 +104,11 @@ def _smooth_rows(series: Series, top: int, bottom: int, noise: PhotographNoise, 
     q = series.differences(part)
     level, count = series.noise_of_differences(part, rows)
     variance = np.broadcast_to(noise.slope * level + noise.floor * count, q.shape)
-    joined, usable = _joined(q), series.usable[rows]
-    smooth = smooth_differences(joined, _joined(variance), usable, colour, first=rows.start, height=height)
+    joined, usable = _join(q), series.usable[rows]
+    smooth = smooth_differences(joined, _join(variance), usable, colour, first=rows.start, height=height)
     change = (joined - smooth).reshape(*joined.shape[:2], len(q), -1).transpose(2, 0, 1, 3)
     change /= np.where(variance > 0, variance, np.inf)
-    level, count = series.noise_shared(part, rows)
+    level, count = series.share_noise(part, rows)
     part -= np.einsum("pj...,j...->p...", noise.slope * level + noise.floor * count, change)
     if series.inverse is not None:
         part[1] /= np.where(series.inverse[rows] > 0, series.inverse[rows], 1)
@@ -119,7 +119,7 @@ def _smooth_rows(series: Series, top: int, bottom: int, noise: PhotographNoise, 
     return usable & (q[0, middle] < -3 * np.sqrt(variance[0, middle]))
 
 
-def _joined(values: np.ndarray) -> np.ndarray:
+def _join(values: np.ndarray) -> np.ndarray:
     """Join (d, rows, columns, channels) to (rows, columns, d * channels), contiguous."""
     return np.ascontiguousarray(values.transpose(1, 2, 0, 3)).reshape(*values.shape[1:3], -1)
 
@@ -188,20 +188,20 @@ def _smooth_squares(colour, q, variance, usable):
     sign = np.where(mirror[:, :1] >= 0, 1.0, -1.0)
     mirror[:, :1] += sign
     mirror = (mirror / np.sqrt(np.abs(mirror[:, :1]))).astype(np.float32)
-    square = _reflected(mirror, _transformed(COSINES, square))
+    square = _reflect(mirror, _transform(COSINES, square))
     kept = np.abs(square) >= np.sqrt(2 * np.log(PATCH * PATCH * n))
     kept[0, 0, :, 0] = True
     weight = 1 / (np.einsum("abik->i", kept, dtype=np.float64) * total)
-    square = _transformed(COSINES.T, _reflected(mirror, square * kept))
+    square = _transform(COSINES.T, _reflect(mirror, square * kept))
     return square * (weight[:, None] * sizes), weight
 
 
-def _transformed(cosines: np.ndarray, square: np.ndarray) -> np.ndarray:
+def _transform(cosines: np.ndarray, square: np.ndarray) -> np.ndarray:
     """Multiply the first two axes of squares by a matrix each."""
     rest = square.shape[2:]
     square = (cosines @ square.reshape(PATCH, -1)).reshape(PATCH, PATCH, -1)
     return np.matmul(cosines, square).reshape(PATCH, PATCH, *rest)
 
 
-def _reflected(mirror: np.ndarray, square: np.ndarray) -> np.ndarray:
+def _reflect(mirror: np.ndarray, square: np.ndarray) -> np.ndarray:
     return square - mirror * np.einsum("...k,...k->...", square, mirror)[..., None]

@@ -39,10 +39,10 @@ def display_image(xyz: np.ndarray, *, white: np.ndarray | None = None, exposure:
     """
     if not (np.isfinite(exposure) and exposure > 0):
         raise UserError(f"exposure: expected a finite factor above 0, found {exposure!r}")
-    return encoded(xyz_to_srgb_linear(np.asarray(xyz, np.float32) * np.float32(exposure), white=white))
+    return encode_display(xyz_to_srgb_linear(np.asarray(xyz, np.float32) * np.float32(exposure), white=white))
 
 
-def encoded(linear: np.ndarray) -> DisplayImage:
+def encode_display(linear: np.ndarray) -> DisplayImage:
     """Encode linear sRGB (rows, columns, 3) in 8 bits."""
     # half a step of the coding is not clipping: a perfect white is 1 to within rounding
     high = np.count_nonzero((linear > 1.0 + 1e-3).any(axis=2)) / max(1, linear[..., 0].size)
@@ -57,7 +57,7 @@ def three_channels(linear: np.ndarray) -> np.ndarray:
     return np.repeat(linear.mean(axis=-1, keepdims=True), 3, axis=-1)
 
 
-def developed(
+def develop(
     linear: np.ndarray, coverage: np.ndarray, *, exposure: float = 1.0, soft: bool = False, background: float = 0.0
 ) -> DisplayImage:
     """Compose an 8-bit picture over an even background.
@@ -80,7 +80,7 @@ def developed(
     beyond = (values > (1.0 + 1e-3) * coverage[..., None]).any(axis=-1) & seen
     high = np.count_nonzero(beyond) / max(1, np.count_nonzero(seen))
     behind = np.float32(decode(np.asarray(background, np.float64), "srgb"))
-    image = encoded((shoulder(values) if soft else values) + behind * (1 - coverage[..., None]))
+    image = encode_display((shoulder(values) if soft else values) + behind * (1 - coverage[..., None]))
     return DisplayImage(image.pixels, high, image.clipped_low)
 
 
@@ -179,7 +179,7 @@ def write_normals_exr(path: Path, normals: np.ndarray, *, stamp: Mapping[str, st
 
 
 def _write_exr(path: Path, values: np.ndarray, names: Sequence[str], stamp: Mapping[str, str], header: dict) -> None:
-    unfinished = _unfinished(path)
+    unfinished = _temporary_path(path)
     attributes = header | {f"nishiki.{name}": str(text) for name, text in stamp.items()}
     with ExrWriter(unfinished, names, values.shape[0], values.shape[1], attributes) as exr:
         exr.write(values)
@@ -247,7 +247,7 @@ def write_video(
         how = install_command(("av",))
         note = f"PyAV is not installed, so an animated PNG was written in place of an MP4. Remedy: {how}"
         return VideoWritten(other, count, note)
-    unfinished, count, shape = _unfinished(path), 0, None
+    unfinished, count, shape = _temporary_path(path), 0, None
     options = {"fflags": "+bitexact", "movflags": "+faststart"}
     with av.open(str(unfinished), "w", format="mp4", options=options) as container:
         container.metadata["comment"] = "; ".join(f"nishiki.{name}={text}" for name, text in stamp.items())
@@ -319,11 +319,11 @@ def _yuv420(pixels: np.ndarray) -> np.ndarray:
     return flat.reshape(luma.shape[0] * 3 // 2, luma.shape[1])
 
 
-def _unfinished(path: Path) -> Path:
+def _temporary_path(path: Path) -> Path:
     return path.with_name(f".{path.name}.unfinished{path.suffix}")
 
 
 def _write_bytes(path: Path, content: bytes) -> None:
-    unfinished = _unfinished(path)
+    unfinished = _temporary_path(path)
     unfinished.write_bytes(content)
     os.replace(unfinished, path)

@@ -6,8 +6,8 @@ import numpy as np
 
 from nishiki.formats.problems import Problem, error_text
 from nishiki.observations.consistency import Judgement
-from nishiki.photometric.arrangement import turned
-from nishiki.report.page import Block, Figure, Figures, Note, Page, Section, render_page
+from nishiki.photometric.arrangement import turn_axes
+from nishiki.report.page import Block, Figure, Figures, Note, Page, PageSection, render_page
 from nishiki.report.pictures import colour_picture
 from nishiki.report.svg import PALETTE, SOFT, Drawing
 from nishiki.version import PROJECT_VERSION
@@ -30,7 +30,7 @@ UNITS = (
 
 def contact_sheet(judgement: Judgement, problems: Sequence[Problem], title: str) -> str:
     """Draw the page (HTML) of one capture; the photographs that deviate most from the statements come first."""
-    marks, directions = _rate(judgement), _shown_directions(judgement)
+    marks, directions = _rate(judgement), _photographed_directions(judgement)
     order = np.argsort(-marks, kind="stable")
     figures = [_figure(judgement, int(j), directions[j]) for j in order]
     blocks: list[Block] = []
@@ -38,24 +38,24 @@ def contact_sheet(judgement: Judgement, problems: Sequence[Problem], title: str)
         blocks.append(Note([str(p) for p in sorted(problems, key=lambda p: p.severity)], listed=True, warning=True))
     if judgement.consistency is None:
         blocks.append("Nothing can be predicted here: too few lamps, too few pixels with light, or a mirror.")
-    sheet = Section("photographs", "Photographs, the odd ones first", [KEY, UNITS, Figures(figures, columns=4)])
-    said = Section("problems", "What was found", blocks or ["Nothing."])
+    sheet = PageSection("photographs", "Photographs, the odd ones first", [KEY, UNITS, Figures(figures, columns=4)])
+    said = PageSection("problems", "What was found", blocks or ["Nothing."])
     subtitle = "The photographs against each other"
     return render_page(Page(title, subtitle, [said, sheet], PROJECT_VERSION, "./nishiki check"))
 
 
-def _shown_directions(judgement: Judgement) -> np.ndarray:
+def _photographed_directions(judgement: Judgement) -> np.ndarray:
     """Return directions (lights, 3) measured in the photographs; NaN where undetermined."""
     found = judgement.arrangement
     if found is not None and found.rearranged:
-        return turned(judgement.directions[list(found.order)], found.axes)
+        return turn_axes(judgement.directions[list(found.order)], found.axes)
     if judgement.consistency is None:
         return np.full(judgement.directions.shape, np.nan)
     return judgement.consistency.direction
 
 
 def _angles(judgement: Judgement) -> np.ndarray:
-    cosines = (_shown_directions(judgement) * judgement.directions).sum(axis=1)
+    cosines = (_photographed_directions(judgement) * judgement.directions).sum(axis=1)
     return np.degrees(np.arccos(np.clip(cosines, -1, 1)))
 
 
@@ -101,7 +101,7 @@ def _arrow(drawing: Drawing, start: Sequence[float] | np.ndarray, step: np.ndarr
 def _numbers(judgement: Judgement, j: int) -> list[str]:
     stated, shown = (
         f"azimuth {np.degrees(np.arctan2(y, x)) % 360:.0f}°, elevation {np.degrees(np.arcsin(np.clip(z, -1, 1))):.0f}°"
-        for x, y, z in (judgement.directions[j], _shown_directions(judgement)[j])
+        for x, y, z in (judgement.directions[j], _photographed_directions(judgement)[j])
     )
     (x, y), sigma = judgement.movement.shift[j], judgement.movement.sigma[j]
     shift = [f"shift {x:+z.2f}, {y:+z.2f} {error_text(sigma, 2)} px"] if np.isfinite(sigma) else []

@@ -113,19 +113,19 @@ class EmbeddedPage:
 
 
 @dataclass(frozen=True)
-class Listing:
+class CommandLines:
     """Lines to type at a terminal."""
 
     kind: ClassVar[str] = "listing"
     text: str
 
 
-Block = str | Table | Figures | Facts | Note | Heading | Fold | EmbeddedPage | Listing
+Block = str | Table | Figures | Facts | Note | Heading | Fold | EmbeddedPage | CommandLines
 """Content of a section; a text is a paragraph."""
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A part of the page under a heading. link : its name in the table of contents; empty: its heading."""
 
     name: str
@@ -149,7 +149,7 @@ class Page:
 
     title: str
     subtitle: str
-    sections: Sequence[Section]
+    sections: Sequence[PageSection]
     version: str
     footer: str  # its last line
     stamp: str = ""  # name by which the file can be told again

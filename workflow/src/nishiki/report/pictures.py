@@ -32,7 +32,7 @@ def balance() -> np.ndarray:
     return _table(_BALANCE, even=False)
 
 
-def coloured(values: np.ndarray, table: np.ndarray, low: float, high: float) -> np.ndarray:
+def colour_map(values: np.ndarray, table: np.ndarray, low: float, high: float) -> np.ndarray:
     """Colour values (rows, columns) as (rows, columns, 3) uint8; below low and above high the ends; NaN: `MISSING`."""
     span = high - low if high > low else 1.0
     known = np.isfinite(values)
@@ -119,7 +119,7 @@ def colour_picture(linear: np.ndarray, *, inside: np.ndarray | None = None) -> P
     codes[~np.isfinite(linear).all(axis=-1)] = MISSING
     if inside is not None:
         codes[~inside] = MISSING
-    return encoded(codes)
+    return encode_picture(codes)
 
 
 def brightening(linear: np.ndarray) -> float:
@@ -137,7 +137,7 @@ def brightening(linear: np.ndarray) -> float:
     return float(max(power * step for step in (1, 1.5, 2, 3, 5, 7) if power * step <= factor))
 
 
-def brightened(factor: float) -> str:
+def describe_brightening(factor: float) -> str:
     """Describe the brightening for a caption."""
     return "" if factor == 1 else f" Shown {factor:g} times brighter than it is."
 
@@ -151,7 +151,7 @@ def scalar_picture(values: np.ndarray, table: np.ndarray, *, unit: str, low=None
         high = low + 1.0
     stops = tuple(hexadecimal(colour) for colour in table[:: 255 // 5])
     scale = Scale(plain(low, digits), plain(high, digits), unit, stops)
-    return encoded(coloured(values, table, low, high), scale=scale)
+    return encode_picture(colour_map(values, table, low, high), scale=scale)
 
 
 def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> PagePicture:
@@ -160,7 +160,7 @@ def class_picture(classes: np.ndarray, key: dict[int, tuple[str, str]]) -> PageP
     codes[...] = MISSING
     for value, (colour, _) in key.items():
         codes[classes == value] = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
-    return encoded(codes, lossless=True, key=tuple(key.values()))
+    return encode_picture(codes, lossless=True, key=tuple(key.values()))
 
 
 def normal_picture(normals: np.ndarray) -> PagePicture:
@@ -169,7 +169,7 @@ def normal_picture(normals: np.ndarray) -> PagePicture:
         unit = normals / np.linalg.norm(normals, axis=-1, keepdims=True)
     codes = np.round(np.clip(np.nan_to_num(unit) * 127.5 + 127.5, 0, 255)).astype(np.uint8)
     codes[~np.isfinite(unit).all(axis=-1)] = MISSING
-    return encoded(codes)
+    return encode_picture(codes)
 
 
 def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
@@ -190,15 +190,15 @@ def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
     return np.clip(shade, 0, 1) ** 1.4
 
 
-def encoded(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> PagePicture:
+def encode_picture(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> PagePicture:
     """Encode a picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
     mime = "image/png" if lossless else "image/jpeg"
-    data = base64.b64encode(_compressed(codes, lossless=lossless)).decode("ascii")
+    data = base64.b64encode(_compress(codes, lossless=lossless)).decode("ascii")
     source = f"data:{mime};base64,{data}"
     return PagePicture(source, codes.shape[1], codes.shape[0], scale, key)
 
 
-def _compressed(codes: np.ndarray, *, lossless: bool = False) -> bytes:
+def _compress(codes: np.ndarray, *, lossless: bool = False) -> bytes:
     """Encode a JPEG of quality 90, or a PNG."""
     import cv2
 
@@ -213,19 +213,19 @@ def _compressed(codes: np.ndarray, *, lossless: bool = False) -> bytes:
 
 def file_picture(data: bytes, widest: int) -> PagePicture:
     """Reduce a PNG to at most `widest` pixels across, averaged in linear light. Raises ValueError for other files."""
-    return encoded(_shrunk(data, widest))
+    return encode_picture(_shrunk(data, widest))
 
 
 def bright_picture(data: bytes, widest: int) -> tuple[PagePicture, str]:
     """Reduce a PNG as `file_picture` does, brightened if it is dark; also return a caption on that."""
     linear = decode(_shrunk(data, widest) / np.float32(255), "srgb")
     factor = brightening(linear)
-    return colour_picture(linear * factor), brightened(factor).strip()
+    return colour_picture(linear * factor), describe_brightening(factor).strip()
 
 
 def file_jpeg(data: bytes, widest: int) -> bytes:
     """Return a PNG as the bytes of a JPEG at most `widest` pixels wide, averaged in linear light."""
-    return _compressed(_shrunk(data, widest))
+    return _compress(_shrunk(data, widest))
 
 
 def _shrunk(data: bytes, widest: int) -> np.ndarray:

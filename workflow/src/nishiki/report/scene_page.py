@@ -14,13 +14,13 @@ from nishiki.artifacts.stage import Context
 from nishiki.report.page import (
     Block,
     Cell,
+    CommandLines,
     EmbeddedPage,
     Facts,
     Fold,
-    Listing,
     Metric,
     Page,
-    Section,
+    PageSection,
     Table,
     contents,
     read_json,
@@ -118,7 +118,7 @@ def write_scene_page(
     data: SceneData,
     stages: Mapping[str, Any],
     head: Head,
-    sections: Sequence[tuple[str, Callable[[Any], Section | None]]],
+    sections: Sequence[tuple[str, Callable[[Any], PageSection | None]]],
     *,
     more_left_out: Sequence[Block] = (),
     more_made: Sequence[Block] = (),
@@ -146,7 +146,7 @@ def write_scene_page(
     shown = [section for stage, write in sections if stage in data.inputs and (section := write(data))]
     if viewer:
         address, summary = f"{viewer}/index.html", "move lamps or the object, zoom, measure, compare: loaded at a click"
-        frame = Section("viewer", "Look for yourself", [EmbeddedPage(address, "Viewer", summary)], "Viewer")
+        frame = PageSection("viewer", "Look for yourself", [EmbeddedPage(address, "Viewer", summary)], "Viewer")
         shown = [frame, *shown]
     page = Page(
         title=settings.title or head.title or stamp["scene"],
@@ -182,7 +182,7 @@ def closing_sections(
     left_out: Mapping[str, str],
     more_left_out: Sequence[Block] = (),
     more_made: Sequence[Block] = (),
-) -> list[Section]:
+) -> list[PageSection]:
     """Return the last four sections. left_out : of the plan, name to reason."""
     there = [name for name in stages if name in inputs]
     diagnostics = {name: inputs[name].diagnostics for name in there}
@@ -193,15 +193,15 @@ def closing_sections(
         "the same inputs give the same bytes."
     )
     return [
-        Section("left-out", "What was read and what was left out, and why",
+        PageSection("left-out", "What was read and what was left out, and why",
                 [*left_out_blocks(left_out, diagnostics), *more_left_out], "Left out"),
-        Section("conditions", "Conditions and flags", [Table(
+        PageSection("conditions", "Conditions and flags", [Table(
             ("Stage", "figure", "value", "expected", "state"), rows, "lwrll",
             "Condition numbers, flagged shares and errors of every stage, with the limits beyond which a run stops, "
             "or warns, unless the stage's setting “allow” names them.")], "Conditions"),
-        Section("made", "How it was made",
+        PageSection("made", "How it was made",
                 [*more_made, made, *(record(inputs[name].manifest, stages[name]) for name in there)]),
-        Section("verify", "How to verify", verification(stamp)),
+        PageSection("verify", "How to verify", verification(stamp)),
     ]  # fmt: skip
 
 
@@ -308,7 +308,7 @@ def verification(stamp: Mapping[str, str]) -> list[Block]:
             "Every file of every artifact is listed with its SHA-256 in an <code>artifact.json</code>, which also "
             "names the artifacts that it was made from and their digests. Paths are relative to {}."
         ).format(code(f"results/{scene}/")),
-        Listing(
+        CommandLines(
             f"./nishiki verify results/{scene}       # recompute every digest; names each damaged, missing or foreign "
             f"file\n./nishiki explain {scene}              # would anything run again, and why\n"
             "./nishiki run                        # make whatever is missing or out of date"

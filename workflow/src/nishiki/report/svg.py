@@ -59,7 +59,7 @@ def percent(value: float | None) -> str:
     return f"{value:.2f}\u202f%" if value else "0"
 
 
-def signed(share: float | None) -> str:
+def format_signed(share: float | None) -> str:
     """Format a share in per cent with its sign, to a tenth."""
     if share is None:
         return "–"
@@ -151,7 +151,7 @@ def outline(x: np.ndarray, y: np.ndarray) -> str:
 
 
 @dataclass(frozen=True)
-class Axis:
+class ChartAxis:
     """A linear or logarithmic axis from values (low to high) to pixels (start to end)."""
 
     low: float
@@ -191,7 +191,7 @@ def ticks(low: float, high: float, count: int = 6) -> list[float]:
     return [float((first + k) * step) for k in range(int(np.floor((high - first * step) / step + 1e-9)) + 1)]
 
 
-def draw_axes(drawing: Drawing, x: Axis, y: Axis, x_label: str, y_label: str) -> None:
+def draw_axes(drawing: Drawing, x: ChartAxis, y: ChartAxis, x_label: str, y_label: str) -> None:
     """Draw grid, numbers and labels of two axes."""
     for value, at in zip(x.marks(), x(x.marks()), strict=True):
         drawing.line(at, y.end, at, y.start, GRID)
@@ -210,7 +210,7 @@ def _number(value: float) -> str:
 
 
 @dataclass(frozen=True)
-class Curve:
+class ChartCurve:
     """One curve of a chart: x, y of equal length; NaN breaks the line. dots: as points, not as a line."""
 
     label: str
@@ -224,7 +224,7 @@ class Curve:
 
 
 def chart(
-    curves: Sequence[Curve],
+    curves: Sequence[ChartCurve],
     *,
     x_label: str,
     y_label: str,
@@ -239,11 +239,11 @@ def chart(
     size : width, and height without the legend. logarithmic : the y axis.
     """
     width, height = size
-    x = Axis(*(x_range or _range([curve.x for curve in curves])), LEFT, width - 12)
+    x = ChartAxis(*(x_range or _range([curve.x for curve in curves])), LEFT, width - 12)
     low, high = y_range or _range([curve.y for curve in curves], zero=True)
     named = [curve for curve in curves if curve.label]
     above = LEGEND_ROW * len(named)
-    y = Axis(low, high, above + height - BOTTOM, above + 10, logarithmic)
+    y = ChartAxis(low, high, above + height - BOTTOM, above + 10, logarithmic)
     drawing = Drawing(width, above + height, title)
     draw_axes(drawing, x, y, x_label, y_label)
     margin = 0.02 * (y.start - y.end)

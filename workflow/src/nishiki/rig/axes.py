@@ -231,7 +231,7 @@ class GrblAxis:
         """Turn to an angle and return when the axis stands."""
         expect_in_range(self.name, degrees, self.range_deg)
         if not self.controller.homed:
-            raise not_homed(self.name)
+            raise not_homed_error(self.name)
         settings, start = self.settings, self.controller.home_position[self.settings.axis]
         self.controller.move(settings.axis, start + (degrees - settings.home_deg) * settings.units_per_degree)
 
@@ -250,7 +250,7 @@ def expect_in_range(name: str, degrees: float, range_deg: tuple[float, float]) -
         )
 
 
-def not_homed(name: str) -> DeviceError:
+def not_homed_error(name: str) -> DeviceError:
     """Return the error of a move of an axis whose position is unknown."""
     return DeviceError(f"{name}: its position is not known since it was opened or failed. Remedy: home it first")
 
@@ -302,7 +302,7 @@ class ComXimTurntable:
         if not math.isfinite(degrees):
             raise DeviceError(f"{self.name}: expected an angle in degrees, found {degrees}. Remedy: correct the plan")
         if self.angle is None:
-            raise not_homed(self.name)
+            raise not_homed_error(self.name)
         angle, self.angle = self.angle, None  # unknown while it turns
         steps = round(((degrees - angle + 180.0) % 360.0 - 180.0) / STEP_DEG)
         if steps:

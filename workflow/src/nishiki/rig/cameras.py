@@ -84,7 +84,7 @@ class GPhotoCamera:
             places = self._expose()
         except self.gphoto.GPhoto2Error as error:
             focus = "Remedy: switch the lens to manual focus, look at the camera's display, and run again"
-            raise self._failed("taking a photograph", error, focus) from None
+            raise self._failure("taking a photograph", error, focus) from None
         if len(places) != self.files:
             names = ", ".join(sorted(file for _, file in places))
             raise DeviceError(
@@ -141,7 +141,7 @@ class GPhotoCamera:
             camera.init()
             return camera
         except gphoto.GPhoto2Error as error:
-            raise self._failed("opening it", error, "Remedy: switch it off and on and run again") from None
+            raise self._failure("opening it", error, "Remedy: switch it off and on and run again") from None
 
     def _widget(self, name: str) -> Any:
         """Return a setting of the camera, or None where it has none of this name."""
@@ -149,19 +149,19 @@ class GPhotoCamera:
             return self.camera.get_single_config(name)
         except self.gphoto.GPhoto2Error as error:
             if error.code in LOST:
-                raise self._failed(f"reading the setting '{name}'", error) from None
+                raise self._failure(f"reading the setting '{name}'", error) from None
             return None
 
-    def _of_exposure(self, quantity: str) -> Any:
+    def _exposure_setting(self, quantity: str) -> Any:
         return next((widget for name in WIDGETS[quantity] if (widget := self._widget(name)) is not None), None)
 
     def _value(self, quantity: str) -> float | None:
         """Read a setting of the camera; None where it is not reported."""
-        widget = self._of_exposure(quantity)
+        widget = self._exposure_setting(quantity)
         return None if widget is None else number_of(str(widget.get_value()))
 
     def _set_nearest(self, quantity: str, value: float) -> None:
-        widget = self._of_exposure(quantity)
+        widget = self._exposure_setting(quantity)
         if widget is None or widget.get_readonly():
             raise DeviceError(
                 f"{self.name}: {quantity} cannot be set from here, found {value:g} in the plan. Remedy: set it at the "
@@ -195,9 +195,9 @@ class GPhotoCamera:
             widget.set_value(text)
             self.camera.set_single_config(name, widget)
         except self.gphoto.GPhoto2Error as error:
-            raise self._failed(f"setting '{name}' to '{text}'", error, "Remedy: set the camera to mode M") from None
+            raise self._failure(f"setting '{name}' to '{text}'", error, "Remedy: set the camera to mode M") from None
 
-    def _failed(self, action: str, error: Any, remedy: str = "Remedy: switch it off and on") -> DeviceError:
+    def _failure(self, action: str, error: Any, remedy: str = "Remedy: switch it off and on") -> DeviceError:
         what = f"{self.name}: {action}: libgphoto2 says {error.string!r} ({error.code})"
         if error.code == self.gphoto.GP_ERROR_IO_USB_CLAIM:
             text = "another program has the camera. Remedy: unmount it in the file manager, or close its own software"

@@ -14,7 +14,7 @@ from pydantic import BeforeValidator, Field, field_validator
 from nishiki.artifacts.closed import Closed
 from nishiki.capture.frames import parse_state
 from nishiki.formats.problems import CaptureError
-from nishiki.rig.axes import expect_in_range, not_homed
+from nishiki.rig.axes import expect_in_range, not_homed_error
 from nishiki.rig.device import (
     ANSWER_S,
     GREETING_S,
@@ -50,7 +50,7 @@ class Exchange(Closed):
 
     @field_validator("send")
     @classmethod
-    def _known_fields(cls, text: str) -> str:
+    def _check_fields(cls, text: str) -> str:
         try:
             text.format(degrees=0.0, lamp=1)
         except (LookupError, ValueError, AttributeError) as error:
@@ -203,7 +203,7 @@ class HomeMadeAxis(_Device):
         """Turn to an angle and return when the axis stands."""
         expect_in_range(self.name, degrees, self.settings.range_deg)
         if not self.homed:
-            raise not_homed(self.name)
+            raise not_homed_error(self.name)
         self.homed = False  # unknown while it turns, and after a failure
         self.ask(self.settings.move, degrees=degrees)
         self.homed = True

@@ -15,7 +15,7 @@ from nishiki.artifacts.closed import Closed, parse
 from nishiki.capture.schema import UnquotedStatesLoader, read_mapping
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError
-from nishiki.installation import installed, optional
+from nishiki.installation import is_installed, optional
 from nishiki.rig.axes import ComXimSettings, ComXimTurntable, Grbl, GrblAxis, GrblSettings
 from nishiki.rig.cameras import FolderSettings, GPhotoCamera, GPhotoSettings, WatchedFolder, run_command
 from nishiki.rig.described import (
@@ -230,7 +230,7 @@ def serial_ports() -> tuple[list[str], list[str]]:
 
 def camera_ports() -> list[str]:
     """Return a line for each camera on USB; empty where none is there or libgphoto2 is not installed."""
-    if not installed("gphoto2"):
+    if not is_installed("gphoto2"):
         return []
     from nishiki.rig.cameras import cameras
 
@@ -257,7 +257,7 @@ class OpenedRig:
         self._rig: Rig | None = None
         self._exposure: tuple[Exposure, Exposure] | None = None  # as asked for, as the camera set it
 
-    def opened(self) -> Rig:
+    def open_devices(self) -> Rig:
         """Open the devices and home them. UserError where a frame requires a device missing in the rig; DeviceError."""
         if self._rig is None:
             rig = self._open_devices(self._description)
@@ -276,7 +276,7 @@ class OpenedRig:
 
     def set_up(self, frame: PlannedFrame, seconds: float | None) -> float | None:
         """Turn, light and set everything for a frame; return the exposure in seconds that the camera has set."""
-        rig = self.opened()
+        rig = self.open_devices()
         for name, state in frame.polarisers:
             rig.polarisers[name].set(state)
         for name, angle in frame.axes:

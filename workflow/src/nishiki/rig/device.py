@@ -269,7 +269,7 @@ class SerialLine:
         except ValueError as error:
             raise DeviceError(f"{device}: {port} at {baud} baud: {error}. Remedy: correct the description") from None
         except Exception as error:  # SerialException, or termios.error, which is no OSError
-            raise _not_opened(device, port, error) from None
+            raise _open_error(device, port, error) from None
 
     def close(self) -> None:
         """Close the port; a second call does nothing."""
@@ -438,7 +438,7 @@ class SerialLine:
         return data.decode("ascii", "backslashreplace").strip()
 
 
-def _not_opened(device: str, port: str, error: Exception) -> DeviceError:
+def _open_error(device: str, port: str, error: Exception) -> DeviceError:
     """Make the error of a port that does not open, with its remedy."""
     reason = errno.errorcode.get(getattr(error, "errno", None) or 0, "")
     if reason in ("EACCES", "EPERM"):

@@ -116,7 +116,7 @@ def read_table(path: Path) -> tuple[Path, tuple[PlannedFrame, ...]]:
     if unknown or not {"file", "role"} <= set(reader.fieldnames or ()):
         found = ", ".join(unknown) or "no file and role"
         raise UserError(f"{path} line 2: expected columns of a table of frames, found {found}")
-    frames = tuple(_planned(row, f"{path} line {number}") for number, row in enumerate(reader, start=3))
+    frames = tuple(_parse_row(row, f"{path} line {number}") for number, row in enumerate(reader, start=3))
     twice = [file for file, count in Counter(frame.file for frame in frames).items() if count > 1]
     if twice or not frames:
         found = f"{twice[0]} twice" if twice else "none"
@@ -124,7 +124,7 @@ def read_table(path: Path) -> tuple[Path, tuple[PlannedFrame, ...]]:
     return plan, frames
 
 
-def _planned(row: dict[str, str], where: str) -> PlannedFrame:
+def _parse_row(row: dict[str, str], where: str) -> PlannedFrame:
     if None in row or None in row.values():
         raise UserError(f"{where}: expected a value for each column, between tabs; empty ones count")
 
@@ -200,13 +200,13 @@ def expected_fit(views: np.ndarray) -> ShapeFit:
     parts = parts_of(incident, views)
     coefficients = np.array([[BODY_ALBEDO, LAMBERT]])
 
-    def predicted(x: np.ndarray) -> np.ndarray:
+    def predict(x: np.ndarray) -> np.ndarray:
         fixed, columns = parts(x)
         return fixed + columns @ coefficients[0]
 
-    values = predicted(CENTRE)
+    values = predict(CENTRE)
     measured = Measured(incident, views, values[:, None], np.ones(len(views), bool), True)
-    slopes = approx_fprime(CENTRE, predicted)
+    slopes = approx_fprime(CENTRE, predict)
     weighted = slopes * normal_weights(measured)[:, None]
     information = weighted.T @ weighted + np.diag(1 / SPREAD**2)
     return ShapeFit(CENTRE.copy(), coefficients, information, cost=0.0, misfit=0.0, evaluations=0)

@@ -10,9 +10,9 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.observations.linearise import saturation_code
-from nishiki.report.page import Block, Facts, Figure, Figures, Metric, Note, Page, Section, Table, render_page
+from nishiki.report.page import Block, Facts, Figure, Figures, Metric, Note, Page, PageSection, Table, render_page
 from nishiki.report.pictures import colour_picture
-from nishiki.report.svg import PALETTE, Curve, Drawing, chart
+from nishiki.report.svg import PALETTE, ChartCurve, Drawing, chart
 from nishiki.rig.frames_table import duration
 from nishiki.rig.records import LastPhotograph, RunState, light_of, why
 from nishiki.version import PROJECT_VERSION
@@ -107,10 +107,12 @@ def page_html(state: RunState, title: str) -> str:
 
 def _page(state: RunState, title: str) -> Page:
     kept, total = len(state.kept), len(state.frames)
-    sections = [Section("last", "The last photograph", _last(state.last, state))] if state.last else []
+    sections = [PageSection("last", "The last photograph", _last(state.last, state))] if state.last else []
+    rows = [(event["time"][11:19], event["file"], why(event)) for event in state.repeated[::-1]]
+    repeats = Table(("time", "frame", "why"), rows, "llw") if rows else Note(["Nothing so far."])
     sections += [
-        Section("frames", "Frames", _frames(state)),
-        Section("repeated", "What was repeated, and why", _repeated(state)),
+        PageSection("frames", "Frames", _frames(state)),
+        PageSection("repeated", "What was repeated, and why", [repeats]),
     ]
     tiles = [
         Metric(kept, f"of {total}", "frames are kept"),
@@ -154,7 +156,7 @@ def _histogram(light: np.ndarray) -> str:
     for channel in range(light.shape[2]):
         counts, _ = np.histogram(np.clip(light[:, :, channel], 0, 1), edges)
         colour = colours[channel % len(colours)]
-        curves.append(Curve("", edges[:-1] + 0.5 / BINS, np.maximum(counts, 0.5), colour))
+        curves.append(ChartCurve("", edges[:-1] + 0.5 / BINS, np.maximum(counts, 0.5), colour))
     top = max(10.0, max(float(curve.y.max()) for curve in curves))
     return chart(
         curves,
@@ -187,10 +189,3 @@ def _frames(state: RunState) -> list[Block]:
         items.append(Figure(role, caption, svg=drawing.finish()))
     note = "Green: kept. Orange: kept after a repetition. Grey: not taken yet."
     return [note, Figures(items, columns=1), f"About {duration(state.seconds_left())} left."]
-
-
-def _repeated(state: RunState) -> list[Block]:
-    if not state.repeated:
-        return [Note(["Nothing so far."])]
-    rows = [(event["time"][11:19], event["file"], why(event)) for event in state.repeated[::-1]]
-    return [Table(("time", "frame", "why"), rows, "llw")]

@@ -83,7 +83,7 @@ class Estimate(Closed):
     polariser_s: Positive = Field(2.0, description="seconds for a change of the polarisers")
 
 
-class Plan(Closed):
+class PlanSettings(Closed):
     """Settings common to the plans of all kinds."""
 
     kind: str
@@ -102,14 +102,14 @@ class Plan(Closed):
 
     @field_validator("suffix")
     @classmethod
-    def _known_suffix(cls, suffix: str) -> str:
+    def _check_suffix(cls, suffix: str) -> str:
         suffix = f".{suffix.lower().removeprefix('.')}"
         if suffix not in IMAGE_SUFFIXES:
             raise ValueError(f"one of {', '.join(sorted(known.removeprefix('.') for known in IMAGE_SUFFIXES))}")
         return suffix
 
     @model_validator(mode="after")
-    def _agree(self) -> "Plan":
+    def _agree(self) -> "PlanSettings":
         if isinstance(self.exposure_s, tuple) and (self.kind != "goniometer" or not self.exposure_s):
             raise ValueError("several exposures of one direction are possible with kind: goniometer only")
         if self.exposure_s is None and self.white and self.white.exposure_s:
@@ -153,7 +153,7 @@ class FieldGrid(Closed):
         return found
 
 
-class DomePlan(Plan):
+class DomePlan(PlanSettings):
     """A flat object under lamps that shine one after the other."""
 
     kind: Literal["dome"]
@@ -163,7 +163,7 @@ class DomePlan(Plan):
     fields: FieldGrid | None = Field(None, description="fields of a mosaic that two axes go to; left out: one")
 
 
-class TurntablePlan(Plan):
+class TurntablePlan(PlanSettings):
     """An object on a turntable, under one lamp or several, in one or several states of polarisers."""
 
     kind: Literal["turntable"]
@@ -179,7 +179,7 @@ class TurntablePlan(Plan):
     board: PoseBoard | None = Field(None, description="ChArUco board that turns with the table; left out: none")
 
 
-class GoniometerPlan(Plan):
+class GoniometerPlan(PlanSettings):
     """A cloth: the quarter hemisphere at normal incidence, and the most informative oblique pairs."""
 
     kind: Literal["goniometer"]
@@ -201,7 +201,7 @@ class GoniometerPlan(Plan):
 
     @field_validator("axes")
     @classmethod
-    def _known_angles(cls, axes: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
+    def _check_angles(cls, axes: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
         known = ("theta_i", "phi_i", "theta_r", "phi_r", "offset")
         wrong = sorted({name for terms in axes.values() for name in terms} - set(known))
         if wrong:

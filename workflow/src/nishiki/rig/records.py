@@ -116,7 +116,7 @@ class KeptFrame:
         return self.measures.level / (self.exposure_s or 1.0)
 
 
-class Neighbours:
+class FrameNeighbours:
     """The frames of a plan, for comparison with each other.
 
     Attributes
@@ -161,13 +161,15 @@ class Neighbours:
             relative = measures.sharpness / next(filter(None, sharp))
             if relative < checks.sharpness:
                 reasons.append(f"sharpness is {relative:.2f} of the first frame's: check that nothing moves")
-        expected, factor = self._expected(frame, known, exposure_s), checks.brightness
+        expected, factor = self._predict_level(frame, known, exposure_s), checks.brightness
         if expected and factor and not 1 / factor <= (ratio := max(measures.level, 0.0) / expected) <= factor:
             found = f"brightness is {ratio:.2g} of what its neighbours lead to expect (1/{factor:g} to {factor:g})"
             reasons.append(f"{found}: check this lamp, or the frames before")
         return reasons
 
-    def _expected(self, frame: PlannedFrame, known: dict[str, KeptFrame], exposure_s: float | None) -> float | None:
+    def _predict_level(
+        self, frame: PlannedFrame, known: dict[str, KeptFrame], exposure_s: float | None
+    ) -> float | None:
         """Predict the level of a frame from its neighbours; None without any."""
         near = [(frame_distance(self._plan, frame, one.frame), file) for file, one in known.items()]
         near = sorted(pair for pair in near if math.isfinite(pair[0]))[: COMPARED[self._plan.settings.kind]]
@@ -268,19 +270,19 @@ class RunState:
         self._began = time.monotonic()
         self._at_first = 0
 
-    def started(self, frames: tuple[PlannedFrame, ...], kept: set[str], camera: CameraResponse) -> None:
+    def record_start(self, frames: tuple[PlannedFrame, ...], kept: set[str], camera: CameraResponse) -> None:
         """Record the start of a run, or its continuation with the remaining frames."""
         with self.lock:
             self.frames, self.kept, self.camera = frames, set(kept), camera
             self._began, self._at_first = time.monotonic(), len(kept)
 
-    def photographed(self, frame: PlannedFrame, codes: np.ndarray, measures: Measures) -> None:
+    def record_photograph(self, frame: PlannedFrame, codes: np.ndarray, measures: Measures) -> None:
         """Record a photograph before it is accepted or rejected."""
         step = -(-max(codes.shape[:2]) // SIDE_PX)
         with self.lock:
             self.last = LastPhotograph(frame, codes[::step, ::step].copy(), measures)
 
-    def happened(self, event: dict[str, Any]) -> None:
+    def record_event(self, event: dict[str, Any]) -> None:
         """Record a line that was added to the journal."""
         kind, file = event["event"], event.get("file", "")
         with self.lock:

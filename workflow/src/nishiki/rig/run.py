@@ -38,9 +38,9 @@ from nishiki.rig.device import DeviceError, DeviceLost, Rig, ask_operator
 from nishiki.rig.frames_table import AUTOMATIC, FIELDS, PlannedFrame, by_field, read_table, summary, table_text
 from nishiki.rig.plan import ReadPlan, read_plan
 from nishiki.rig.records import (
+    FrameNeighbours,
     Journal,
     Measures,
-    Neighbours,
     RunState,
     capture_settings,
     measure,
@@ -188,7 +188,7 @@ class CaptureRun:
         self.rig_file, self.plan, self.frames, self.capture = rig, plan, frames, capture
         self.observer, self.ask, self.pause = observer, ask, pause
         self.devices = OpenedRig(rig, frames, open_devices)
-        self.neighbours = Neighbours(plan, frames)
+        self.neighbours = FrameNeighbours(plan, frames)
         self.work = work_folder(capture)
         self.payload, self.incoming = self.work / "capture", self.work / "incoming"
         self.journal = Journal(self.work / "journal.jsonl")
@@ -205,7 +205,7 @@ class CaptureRun:
         checked = any(event["event"] == "checked" for event in self.journal.events())
         if self._is_in_place() and not checked:
             raise UserError(EXISTS.format(self.capture))
-        with self._locked():
+        with self._lock():
             try:
                 if not self._is_in_place():
                     self._begin(plan_file, like)
@@ -227,7 +227,7 @@ class CaptureRun:
         return self.capture.exists() or self.capture.with_name(self.capture.name + ".sealing").exists()
 
     @contextlib.contextmanager
-    def _locked(self) -> Iterator[None]:
+    def _lock(self) -> Iterator[None]:
         """Lock the capture against other runs. UserError where one is in progress."""
         self.work.mkdir(parents=True, exist_ok=True)
         with (self.work / "lock").open("w") as lock:
@@ -259,7 +259,7 @@ class CaptureRun:
         if like is not None:
             self._share(like)
         self._note("begin", frames=len(self.frames), kept=len(self.kept))
-        self.observer.started(self.frames, set(self.kept), self.camera)
+        self.observer.record_start(self.frames, set(self.kept), self.camera)
 
     def _share(self, other: "CaptureRun") -> None:
         """Copy photographs taken once for all fields that are missing here."""
@@ -343,7 +343,7 @@ class CaptureRun:
         self, frame: PlannedFrame, seconds: float | None
     ) -> tuple[Path, float | None, Measures | None, list[str]]:
         self._expect_room(frame)
-        rig = self.devices.opened()
+        rig = self.devices.open_devices()
         self._prepare_subject(frame.group)
         taken = self.devices.set_up(frame, seconds)
         _clear(self.incoming)
@@ -354,7 +354,7 @@ class CaptureRun:
         except CaptureError as error:
             return path, taken, None, [f"the photograph cannot be read: {error.problems[0]}"]
         measures = measure(codes, self.camera, read_exif(path).exposure_s)
-        self.observer.photographed(frame, codes, measures)
+        self.observer.record_photograph(frame, codes, measures)
         return path, taken, measures, self.neighbours.reasons_against(frame, measures, taken, self.kept)
 
     def _pick(self, frame: PlannedFrame, files: tuple[Path, ...]) -> Path:
@@ -496,7 +496,7 @@ class CaptureRun:
 
     def _note(self, event: str, **facts: Any) -> dict[str, Any]:
         line = self.journal.write(event, **facts)
-        self.observer.happened(line)
+        self.observer.record_event(line)
         return line
 
 

@@ -15,7 +15,7 @@ from nishiki.simulate.randomness import normals
 from nishiki.threads import over_rows
 
 
-def ranged(low: float, high: float, default: Any = MISSING) -> Any:
+def declare_range(low: float, high: float, default: Any = MISSING) -> Any:
     """Declare a number of some settings with its range, which `check_ranges` reads."""
     return field(default=default, metadata={"range": (low, high)})
 
@@ -35,13 +35,13 @@ def check_ranges(settings: Any, *more: tuple[str, float, float, float], prefix: 
 class CameraSettings:
     """The camera: sensitivity of the sensor and its noise."""
 
-    channels: int = ranged(3, 8, 3)  # number of spectral channels, 3 to 8
-    bits: int = ranged(8, 16, 12)  # of the converter
-    full_well: float = ranged(100.0, 1e9, 30000.0)  # electrons at full scale
-    read_noise: float = ranged(0.0, 1e4, 8.0)  # electrons, standard deviation
+    channels: int = declare_range(3, 8, 3)  # number of spectral channels, 3 to 8
+    bits: int = declare_range(8, 16, 12)  # of the converter
+    full_well: float = declare_range(100.0, 1e9, 30000.0)  # electrons at full scale
+    read_noise: float = declare_range(0.0, 1e4, 8.0)  # electrons, standard deviation
     black_level: int = 64  # codes
     # fraction of full scale that a perfect white diffuser facing the lamp reaches in the most sensitive channel
-    white_level: float = ranged(0.01, 1.0, 0.7)
+    white_level: float = declare_range(0.01, 1.0, 0.7)
     noise: bool = True  # False gives the mean signal (still quantised)
 
     def __post_init__(self):
@@ -125,7 +125,7 @@ DARK_FRAMES = 3  # photographs
 BOARD_REFLECTANCE = 0.98  # of the white board
 
 
-class Progress:
+class ProgressLine:
     """One line on the terminal that is written over."""
 
     def __init__(self):
@@ -178,7 +178,7 @@ def readme(kind: str, **facts: Any) -> str:
     return (Path(__file__).parent / kind / "truth.md").read_text(encoding="utf-8").format(**facts)
 
 
-class Truth:
+class TruthWriter:
     """truth.zarr, filled shot by shot, and a README of its contents."""
 
     def __init__(self, folder: Path):

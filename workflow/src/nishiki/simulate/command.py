@@ -24,7 +24,7 @@ from nishiki.capture.seal import seal
 from nishiki.errors import UserError
 from nishiki.formats.files import whole_folder
 from nishiki.installation import COMMAND
-from nishiki.simulate.capture import Progress
+from nishiki.simulate.capture import ProgressLine
 from nishiki.simulate.cloth.settings import DYES, FILAMENTS
 from nishiki.simulate.cloth.settings import PRESETS as CLOTHS
 from nishiki.simulate.painting.settings import BODIES, RELIEFS, ROUGHNESS, SCENES
@@ -176,7 +176,7 @@ def simulate(kind, options: argparse.Namespace) -> None:
             raise UserError(f"{folder}: expected no such folder yet, found one; remove it or choose another name")
     if truth.resolve().is_relative_to(output.resolve()):
         raise UserError(f"{truth}: the truth must lie outside the capture {output}; choose another folder")
-    report = Progress()
+    report = ProgressLine()
     with whole_folder(output) as capture, whole_folder(truth) as known:
         for draft in (capture, known):
             draft.mkdir(parents=True)

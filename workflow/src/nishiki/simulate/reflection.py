@@ -128,13 +128,13 @@ def reflect_filament(i, o, surface):
     cosine = hz / length
     d = math.exp(-tilt) / (math.pi * along * across * cosine**4)
     # cosθ_i cosθ_o (1 + Λ_i + Λ_o), free of 0/0 at grazing angles.
-    light, view = hidden(ix, iy, iz, along, across), hidden(ox, oy, oz, along, across)
+    light, view = hide(ix, iy, iz, along, across), hide(ox, oy, oz, along, across)
     reach = iz * oz + oz * light + iz * view
     return fresnel(min((ix * hx + iy * hy + iz * hz) / length, 1.0), index) * d * 0.25 / reach
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def hidden(x, y, z, along, across):
+def hide(x, y, z, along, across):
     """Compute cosθ Λ: Smith's integral of normally distributed slopes, times the cosine."""
     spread = math.sqrt((along * x) ** 2 + (across * y) ** 2)
     if spread <= 1e-12 * z:

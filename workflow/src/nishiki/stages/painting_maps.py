@@ -64,7 +64,7 @@ def predict_light(
     return PredictedLight(seen.values, diffuse, specular, lit, body)
 
 
-def seen_from(light: Light, down: float) -> Light:
+def lower_light(light: Light, down: float) -> Light:
     """Return a lamp in the frame of maps whose middle lies so much below, in the unit of its position."""
     if light.position_mm is None:
         return light
@@ -186,17 +186,17 @@ class PaintingMaps:
         """Yield bands of rows from top to bottom."""
         return strips(self.shape[0], self.band_rows)
 
-    def known(self, rows: slice) -> np.ndarray:
+    def read_known(self, rows: slice) -> np.ndarray:
         """Return (r, columns) bool: pixels with an estimate."""
         return (self.maps.read("flags", rows) & NO_ESTIMATE) == 0
 
     def normals(self, rows: slice) -> np.ndarray:
         """Return (r, columns, 3) float32 unit normals, x right, y up, z to the camera; 0 where there is no estimate."""
-        return np.where(self.known(rows)[..., None], self.maps.read("normals", rows), np.float32(0))
+        return np.where(self.read_known(rows)[..., None], self.maps.read("normals", rows), np.float32(0))
 
     def shading_normals(self, rows: slice) -> np.ndarray:
         """Read the normals that predict lamps, as `normals`; with few lights they differ (stage normals)."""
-        return np.where(self.known(rows)[..., None], shading_normals(self.maps, rows), np.float32(0))
+        return np.where(self.read_known(rows)[..., None], shading_normals(self.maps, rows), np.float32(0))
 
     def relief_normals(self, rows: slice) -> np.ndarray:
         """Read the normals of the relief, as `normals`: flattened where the height is."""
@@ -255,10 +255,10 @@ class PaintingMaps:
     def mean(self, read: Callable[[slice], np.ndarray], block: int) -> np.ndarray:
         """Average the known pixels of squares of the whole map, 0 where there are none; read: (r, columns, n)."""
 
-        def known(rows: slice) -> np.ndarray:
-            return np.where(self.known(rows)[..., None], read(rows), np.float32(np.nan))
+        def read_known(rows: slice) -> np.ndarray:
+            return np.where(self.read_known(rows)[..., None], read(rows), np.float32(np.nan))
 
-        return np.nan_to_num(shrink(known, self.shape, block))
+        return np.nan_to_num(shrink(read_known, self.shape, block))
 
     def mean_normals(self, read: Callable[[slice], np.ndarray], block: int) -> np.ndarray:
         """Return unit normals of squares of pixels, 0 where there is no estimate."""

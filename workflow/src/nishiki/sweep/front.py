@@ -3,14 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from nishiki.report.svg import PALETTE, PAPER, SOFT, Axis, Drawing, draw_axes
+from nishiki.report.svg import PALETTE, PAPER, SOFT, ChartAxis, Drawing, draw_axes
 
 NEGLIGIBLE = 0.01
 """Relative difference of errors below which they count as equal if the times do not differ clearly either."""
 
 
 @dataclass(frozen=True)
-class Point:
+class VariantPoint:
     """Variant in the plane of time and loss."""
 
     name: str
@@ -23,7 +23,7 @@ class Point:
     tip: str = ""  # of the drawing: what its tooltip says
 
 
-def front(points: Sequence[Point]) -> list[int]:
+def front(points: Sequence[VariantPoint]) -> list[int]:
     """List the indices of the points that no other point beats, from the fastest on.
 
     A point is beaten by one that is at least as good in time and loss and better in one of them. O(n log n).
@@ -38,7 +38,7 @@ def front(points: Sequence[Point]) -> list[int]:
     return indices
 
 
-def beaten_by(point: Point, others: Sequence[Point]) -> tuple[list[Point], bool]:
+def beaten_by(point: VariantPoint, others: Sequence[VariantPoint]) -> tuple[list[VariantPoint], bool]:
     """List the others that beat `point`, best loss first, and whether at least one does so clearly.
 
     Clearly: it is faster beyond the spread of the repeats, or its loss is lower by more than NEGLIGIBLE.
@@ -80,7 +80,9 @@ PLACES: tuple[tuple[int, int, str], ...] = (
 """Possible places of a name beside its mark: offset in pixels and anchor of the text."""
 
 
-def axis_over(values: Sequence[float], start: float, end: float, *, flipped: bool = False, room: float = 0.08) -> Axis:
+def axis_over(
+    values: Sequence[float], start: float, end: float, *, flipped: bool = False, room: float = 0.08
+) -> ChartAxis:
     """Choose an axis that holds all values with some room; logarithmic for wide ratios without 0."""
     low, high = min(values), max(values)
     logarithmic = low > 0 and high / low >= LOG_FROM
@@ -90,10 +92,12 @@ def axis_over(values: Sequence[float], start: float, end: float, *, flipped: boo
     else:
         margin = room * (high - low) or 0.1 * abs(high) or 1.0
         low, high = max(low - margin, 0.0) if low >= 0 else low - margin, high + margin
-    return Axis(low, high, end, start, logarithmic) if flipped else Axis(low, high, start, end, logarithmic)
+    return ChartAxis(low, high, end, start, logarithmic) if flipped else ChartAxis(low, high, start, end, logarithmic)
 
 
-def plot(points: Sequence[Point], best: Sequence[int], *, x_label: str, y_label: str, higher: bool, title: str) -> str:
+def plot(
+    points: Sequence[VariantPoint], best: Sequence[int], *, x_label: str, y_label: str, higher: bool, title: str
+) -> str:
     """Draw a file of its own. Lower left is better: where more is better, the axis points down.
 
     best : indices of the front's points, from the fastest on.
@@ -134,7 +138,7 @@ def draw_sign(drawing: Drawing, kind: str, x: float, y: float, *, filled: bool =
         drawing.circle(x, y, 4.5, **paint)
 
 
-def draw_names(drawing: Drawing, points: Sequence[Point], x: Axis, y: Axis) -> None:
+def draw_names(drawing: Drawing, points: Sequence[VariantPoint], x: ChartAxis, y: ChartAxis) -> None:
     """Draw a name beside each sign where there is room, conspicuous ones first; others are in the table."""
     places = [(x(point.time), y(point.figure)) for point in points]
     boxes = [(across - 7, at - 7, across + 7, at + 7) for across, at in places]
@@ -172,7 +176,7 @@ WORDS = {1: "the same", 2: "twice the", 0.5: "half the"} | {
 
 
 def advice(
-    points: list[Point], default: Point, *, paper: Point | None, unit: str, higher: bool, axis: str
+    points: list[VariantPoint], default: VariantPoint, *, paper: VariantPoint | None, unit: str, higher: bool, axis: str
 ) -> list[str]:
     """Write sentences on the default: whether it is on the front, cost of less time, gain of more, the paper.
 
@@ -181,8 +185,10 @@ def advice(
     axis : the time meant, `time` or `CPU time`
     """
 
-    def against(point: Point) -> str:
-        return compared(point, default, unit, higher, axis)
+    def against(point: VariantPoint) -> str:
+        """Format a variant against the default: `half the time for 0.1° more`."""
+        ratio = point.time / default.time if default.time > 0 else 1.0
+        return f"{share(ratio, axis)} {_difference(point, default, unit, higher)}"
 
     winners, clear = beaten_by(default, [point for point in points if point is not default])
     winners = winners[:2]
@@ -199,22 +205,22 @@ def advice(
     return sentences
 
 
-def least(point: Point) -> tuple[float, float]:
+def least(point: VariantPoint) -> tuple[float, float]:
     """Order points by their loss."""
     return point.loss, point.time
 
 
-def quickest(point: Point) -> tuple[float, float]:
+def quickest(point: VariantPoint) -> tuple[float, float]:
     """Order points by their time."""
     return point.time, point.loss
 
 
-def _ends(points: list[Point], *orders: Callable[[Point], tuple[float, float]]) -> list[Point]:
+def _ends(points: list[VariantPoint], *orders: Callable[[VariantPoint], tuple[float, float]]) -> list[VariantPoint]:
     """List the first point by every order, each once."""
     return list(dict.fromkeys(min(points, key=order) for order in orders if points))
 
 
-def _standing(default: Point, winners: list[str], clear: bool) -> str:
+def _standing(default: VariantPoint, winners: list[str], clear: bool) -> str:
     if not winners:
         return f"The default ({default.name}) is on the front: no variant is both faster and better."
     if not clear:
@@ -225,19 +231,13 @@ def _standing(default: Point, winners: list[str], clear: bool) -> str:
     return f"The default ({default.name}) is not on the front. At least as fast and better: {'; '.join(winners)}."
 
 
-def compared(point: Point, default: Point, unit: str, higher: bool, axis: str) -> str:
-    """Format a variant against the default: `half the time for 0.1° more`."""
-    ratio = point.time / default.time if default.time > 0 else 1.0
-    return f"{share(ratio, axis)} {_difference(point, default, unit, higher)}"
-
-
 def share(ratio: float, axis: str) -> str:
     """Express a ratio of times in words, if a word is true to 5 per cent."""
     words = [word for value, word in WORDS.items() if abs(ratio / value - 1) <= 0.05]
     return f"{words[0] if words else f'{ratio:.2g} times the' if ratio < 10 else f'{ratio:.0f} times the'} {axis}"
 
 
-def _difference(point: Point, default: Point, unit: str, higher: bool) -> str:
+def _difference(point: VariantPoint, default: VariantPoint, unit: str, higher: bool) -> str:
     change = point.loss - default.loss
     if change == 0:
         return "for the same error" if not higher else "for the same figure"

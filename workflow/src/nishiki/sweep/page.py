@@ -6,9 +6,9 @@ from typing import Any
 
 from markupsafe import Markup
 
-from nishiki.report.page import Block, Facts, Figure, Figures, Note, Page, Section, Table, render_page
+from nishiki.report.page import Block, Facts, Figure, Figures, Note, Page, PageSection, Table, render_page
 from nishiki.report.svg import figure
-from nishiki.sweep.front import AXES, Point, advice, front, plot
+from nishiki.sweep.front import AXES, VariantPoint, advice, front, plot
 from nishiki.sweep.variants import MeasureSettings, SweepSettings, VariantRow
 
 AXIS_NAMES = {"seconds": "time", "cpu_seconds": "CPU time"}
@@ -39,7 +39,7 @@ def scene_content(
         "counted": list(counted),
         "evaluation": evaluation,
         "axis": axis,
-        "measures": [labelled(measure) for measure in measures],
+        "measures": [label_measure(measure) for measure in measures],
         "machines": sorted({machine for row in rows for machine in row.machines}),
         "load": max((row.load for row in rows), default=0.0),
         "busy": any(row.load >= BUSY for row in rows),
@@ -49,16 +49,16 @@ def scene_content(
     }
 
 
-def labelled(measure: MeasureSettings) -> dict[str, str]:
+def label_measure(measure: MeasureSettings) -> dict[str, str]:
     """Describe a measure for the page."""
     return {**measure.model_dump(mode="json"), "label": measure.label or measure.path}
 
 
-def points_of(rows: Sequence[VariantRow], number: int, measure: MeasureSettings, axis: str) -> list[Point]:
+def points_of(rows: Sequence[VariantRow], number: int, measure: MeasureSettings, axis: str) -> list[VariantPoint]:
     """Make points in the plane of time and loss; the loss is the figure, or its negative where more is better."""
     sign = -1.0 if measure.better == "higher" else 1.0
     return [
-        Point(
+        VariantPoint(
             row.name,
             row.times[axis].median,
             row.times[axis].low,
@@ -73,7 +73,7 @@ def points_of(rows: Sequence[VariantRow], number: int, measure: MeasureSettings,
 
 
 def _plot(scene, rows: list[VariantRow], number: int, measure: MeasureSettings, axis: str, best: list[int]) -> dict:
-    entry = labelled(measure)
+    entry = label_measure(measure)
     label = entry["label"] + (f", {measure.unit}" if measure.unit else "")
     svg = plot(
         points_of(rows, number, measure, axis),
@@ -162,8 +162,8 @@ def render_sweep(content: dict[str, Any]) -> str:
             title=content["title"],
             subtitle=f"Error against run time: settings of the stage {content['settings']['stage']}.",
             sections=[
-                *(Section(scene["scene"], scene["scene"], scene_blocks(scene)) for scene in scenes),
-                Section("how", "How it was measured", [HOW, Facts(counted), files]),
+                *(PageSection(scene["scene"], scene["scene"], scene_blocks(scene)) for scene in scenes),
+                PageSection("how", "How it was measured", [HOW, Facts(counted), files]),
             ],
             version=content["version"],
             footer=f"Nishiki {content['version']}, sweep {content['name']}.",

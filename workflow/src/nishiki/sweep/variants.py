@@ -81,7 +81,7 @@ def expand(sweep: SweepSettings, *, stages: Collection[str], where: str) -> list
         raise UserError(f"{where}: nothing to vary; give `vary` (setting: values) or `variants` (name: settings)")
     variants = [Variant(AS_CONFIGURED, {}), *_grid(sweep, stages)]
     variants += [
-        Variant(name, nested(settings, sweep.stage, stages, f"{where}: variants.{name}"))
+        Variant(name, nest_settings(settings, sweep.stage, stages, f"{where}: variants.{name}"))
         for name, settings in sweep.variants.items()
     ]
     names = [variant.name for variant in variants]
@@ -101,15 +101,15 @@ def _grid(sweep: SweepSettings, stages: Collection[str]) -> list[Variant]:
     short = {key: key.removeprefix(f"{sweep.stage}.") for key in keys}
     return [
         Variant(
-            ", ".join(f"{short[key]}={shown(value)}" for key, value in zip(keys, values, strict=True)),
-            nested(dict(zip(keys, values, strict=True)), sweep.stage, stages, "vary"),
+            ", ".join(f"{short[key]}={format_value(value)}" for key, value in zip(keys, values, strict=True)),
+            nest_settings(dict(zip(keys, values, strict=True)), sweep.stage, stages, "vary"),
         )
         for values in itertools.product(*sweep.vary.values())
         if keys
     ]
 
 
-def nested(settings: dict[str, Any], stage: str, stages: Collection[str], where: str) -> dict[str, Any]:
+def nest_settings(settings: dict[str, Any], stage: str, stages: Collection[str], where: str) -> dict[str, Any]:
     """Turn dotted settings into blocks. Raises UserError where one key is given twice.
 
     {"normals.solver": "lobe"} and, of the stage normals, {"solver": "lobe"} become {"normals": {"solver": "lobe"}}, as
@@ -134,14 +134,14 @@ def nested(settings: dict[str, Any], stage: str, stages: Collection[str], where:
     return result
 
 
-def shown(value: Any) -> str:
+def format_value(value: Any) -> str:
     """Format a setting's value for a variant's name."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if value is None:
         return "none"
     if isinstance(value, list | tuple):
-        return "/".join(shown(item) for item in value)
+        return "/".join(format_value(item) for item in value)
     return str(value)
 
 
@@ -193,7 +193,7 @@ def values_of(
     return next((values for source in sources if (values := _values(source, path.split(".")))), {})
 
 
-def compared(by_variant: dict[str, dict[tuple[str, ...], float]]) -> dict[str, float | None]:
+def average_common(by_variant: dict[str, dict[tuple[str, ...], float]]) -> dict[str, float | None]:
     """Average each variant's figures over the keys common to all, so that all are judged on the same.
 
     by_variant : figures, as `values_of` gives them. None for a variant that has none, or none in common.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.artifacts.outputs import Output, as_declared
+from nishiki.artifacts.outputs import Output, convert_to_declared
 from nishiki.errors import UserError
 from nishiki.formats.stored import load_arrays, understood
 from nishiki.goniometry.directions import unit
@@ -73,7 +73,7 @@ def save_brdf(path: Path, brdf, outputs: Iterable[Output] = ()) -> None:
     True
     """
     arrays = {name: np.asarray(values) for name, values in brdf.as_arrays().items()}
-    arrays = {_KIND: np.array(brdf.KIND), **(as_declared(outputs, arrays) if outputs else arrays)}
+    arrays = {_KIND: np.array(brdf.KIND), **(convert_to_declared(outputs, arrays) if outputs else arrays)}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in sorted(arrays):
             member = io.BytesIO()

@@ -70,7 +70,7 @@ class LampFit:
         with np.errstate(divide="ignore", invalid="ignore"):
             return self.directions / self.inverse_distance[:, None]
 
-    def widened(self, sigma: np.ndarray) -> "LampFit":
+    def widen(self, sigma: np.ndarray) -> "LampFit":
         """Add a further uncertainty of the directions (lamps,) in radians that the fit does not cover."""
         wider = np.hypot(self.direction_sigma, sigma)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -151,7 +151,7 @@ def fit_lamps(
         places = np.column_stack([falloff.pixels * origin_of(outlines_of(x))[1], np.zeros(len(falloff.pixels))])
         towards = u[:, None, :] - inverse[:, None, None] * places
         expected = np.log(np.maximum(towards[..., 2], 1e-9)) - 1.5 * np.log((towards**2).sum(axis=-1))
-        return _centred(falloff.log_light - expected)
+        return _centre(falloff.log_light - expected)
 
     spread = 0.01
 
@@ -248,7 +248,7 @@ def triangulate(
     return towards, np.where(meet, 1 / length, 0.0), np.where(count > 1, miss, np.nan)
 
 
-def _centred(values: np.ndarray) -> np.ndarray:
+def _centre(values: np.ndarray) -> np.ndarray:
     """Subtract the means over both axes from values (lamps, places); return the finite ones as a vector."""
     known = np.isfinite(values)
     rest = np.where(known, values, 0.0)

@@ -156,7 +156,7 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
         near=near or falloff is not None,
         falloff=falloff,
     )
-    fit = fit.widened(lens_sigma)
+    fit = fit.widen(lens_sigma)
     chosen = [names[i] for i in seen]
     warnings += [f"{name}: {why}; left out" for name, why in findings.left_out.items()]
     warnings += _fit_warnings(fit, chosen, near, given)
@@ -167,7 +167,7 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
         seen,
         fit,
         lens_sigma,
-        _positioned(fit, given),
+        _positions_are_accurate(fit, given),
         fit_scene(bright_blocks(stack, find_free_pixels(findings)), fit.directions),
         warnings,
     )
@@ -281,7 +281,7 @@ def _falloff(given: SphereInput, camera: SphereCamera, seen: list[int]) -> Fallo
     return Falloff(np.column_stack([right.ravel(), above.ravel()]), log_light)
 
 
-def _positioned(fit: LampFit, given: SphereInput) -> bool:
+def _positions_are_accurate(fit: LampFit, given: SphereInput) -> bool:
     """Check whether the positions of all lamps are accurate enough to write."""
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = fit.inverse_distance_sigma / fit.inverse_distance
@@ -305,7 +305,7 @@ def _fit_warnings(fit: LampFit, names: list[str], near: bool, given: SphereInput
         )
     if near and given.radius_mm is None:
         warnings.append("positions need the spheres' radius (--radius-mm); only directions were written")
-    elif (near or given.board) and not _positioned(fit, given):
+    elif (near or given.board) and not _positions_are_accurate(fit, given):
         warnings.append(
             f"the distance of at least one lamp is uncertain by more than {100 * POSITION_SHARE:.0f} %; only "
             "directions were written. Place the spheres further apart, or photograph a board (--board), to measure "

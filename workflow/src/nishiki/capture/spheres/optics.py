@@ -133,7 +133,7 @@ def pixel_of_direction(
 
 
 @dataclass(frozen=True)
-class Highlight:
+class LampImage:
     """The image of a lamp on a sphere."""
 
     pixel: np.ndarray  # (2,): column and row at which the sphere shows the lamp's middle
@@ -146,7 +146,7 @@ class Highlight:
 
 def find_highlight(
     picture: np.ndarray, noise: float, outline: np.ndarray, camera: SphereCamera, corner=(0, 0), *, levels=LEVELS
-) -> Highlight | None:
+) -> LampImage | None:
     """Find the highlight of a lamp on a sphere; None where there is none.
 
     picture (rows, columns) float32: crop of a photograph less what the sphere shows without the lamp; noise: its
@@ -198,7 +198,7 @@ def find_highlight(
     cut = bool((chosen & ((from_middle > INSIDE * radius) | border)).any())
     # a small sharp highlight lies anywhere within the one pixel that it lights: variance 1 / 12
     sigma = float(np.sqrt(LEAST_SIGMA_PX**2 + asymmetry**2 + random**2 + 1 / (12 * area**2)))
-    return Highlight(places[0], sigma, area, peak, second, cut)
+    return LampImage(places[0], sigma, area, peak, second, cut)
 
 
 def _finer(smooth: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

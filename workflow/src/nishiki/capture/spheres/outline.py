@@ -44,7 +44,9 @@ class Outline:
     def under(self, camera: SphereCamera) -> "Outline":
         """Fit the outline for another camera to the same edge points."""
         parameters = solve_outline(self.points, camera)
-        covariance = _jackknife(self.points, circle_of(parameters, camera), camera) + _shifted(parameters, camera)
+        covariance = _jackknife(self.points, circle_of(parameters, camera), camera) + _shift_covariance(
+            parameters, camera
+        )
         rms = float(np.sqrt((_distances(self.points, parameters, camera) ** 2).mean()))
         return Outline(parameters, covariance, rms, self.support, self.points)
 
@@ -212,7 +214,7 @@ def _jackknife(pixels, circle, camera) -> np.ndarray:
     return (len(present) - 1) / len(present) * away.T @ away
 
 
-def _shifted(parameters: np.ndarray, camera: SphereCamera) -> np.ndarray:
+def _shift_covariance(parameters: np.ndarray, camera: SphereCamera) -> np.ndarray:
     """Compute the covariance of an outline whose column, row and radius are each uncertain by `REFLECTION_PX`."""
     points = outline_points(parameters, camera)
     column, row, radius = circle_of(parameters, camera)

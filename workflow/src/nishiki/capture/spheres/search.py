@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.spheres.optics import Highlight, SphereCamera, outline_points
+from nishiki.capture.spheres.optics import LampImage, SphereCamera, outline_points
 from nishiki.capture.spheres.outline import Circle, Outline
 from nishiki.capture.taking import SATURATED, channel_names, full_scale_of, read_grey
 from nishiki.errors import UserError
@@ -56,7 +56,7 @@ class Findings:
     # list of (picture, (column, row)): brightest of all photographs around each sphere, and the crop's corner
     crops: list[tuple[np.ndarray, tuple[int, int]]] = field(default_factory=list)
     # by (photograph, sphere); None where there is none
-    highlights: dict[tuple[int, int], Highlight | None] = field(default_factory=dict)
+    highlights: dict[tuple[int, int], LampImage | None] = field(default_factory=dict)
     # list of (Circle, str): circles that were examined and why they are no mirror spheres
     rejected: list[tuple[Circle, str]] = field(default_factory=list)
     # reason by the name of each photograph whose lamp cannot be measured

@@ -84,7 +84,7 @@ def gather(scene: ClothScene, raster: Raster, camera: Camera, supersampling: int
     )
 
 
-def lit(scene: ClothScene, samples: Fragments, lamp: Lamp, shadows: bool) -> IncidentLight:
+def light_from(scene: ClothScene, samples: Fragments, lamp: Lamp, shadows: bool) -> IncidentLight:
     """Compute the light from a lamp that reaches the samples."""
     near, reach, level = lamp.place is not None, np.full(len(samples.pixel), 2 * scene.scale), np.ones(())
     if near:
@@ -328,7 +328,7 @@ class ClothModels:
             raise UserError(f"{self.folder}: expected a model among {known}, found {name!r}. Remedy: correct `model`")
         return load_brdf(self.folder / "models" / region / f"{name}.npz")
 
-    def used(self, region: str, model: str) -> list[int]:
+    def rows_of_fit(self, region: str, model: str) -> list[int]:
         """Return rows of the reflectance table used in the fit of a model."""
         return list(self._region(region)[model]["used"])
 
@@ -345,7 +345,7 @@ class ClothModels:
         return self.description["models"][region]
 
 
-def dyed(
+def apply_dyes(
     brdf: Brdf, colours: dict[str, tuple[float, float, float]], share: np.ndarray | None = None
 ) -> dict[str, Dyed]:
     """Return the gloss of a cloth over dyes of these colours (linear sRGB albedo); share: of the gloss, where known.

@@ -13,9 +13,9 @@ from nishiki.colour.colour import decode
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera, look_at
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.turn import rotation_matrix, scaled
+from nishiki.geometry.turn import rotation_matrix, scale_camera
 from nishiki.geometry.visibility import rasterise
-from nishiki.render.cloth.models import Fragments, Surroundings, added_up, gather, lit, share_of
+from nishiki.render.cloth.models import Fragments, Surroundings, added_up, gather, light_from, share_of
 from nishiki.render.cloth.scene import AmbientLight, Brdf, ClothScene, Lamp, Matte, Surface, together
 from nishiki.render.cloth.surfaces import cylinder, paper
 from nishiki.threads import over_items
@@ -85,7 +85,7 @@ def render(
     within: radians; the BRDF is evaluated once for the samples of a pixel whose frames differ by less, see `gather`.
     """
     _check(scene, takes, lamps, supersampling)
-    fine = scaled(camera, supersampling)
+    fine = scale_camera(camera, supersampling)
     linear = np.zeros((len(takes), camera.rows, camera.columns, 3), np.float32)
     coverage, cloth = np.zeros((2, camera.rows, camera.columns), np.float32)
     tally = _Tally()
@@ -128,7 +128,7 @@ def _add_lamps(sums, scene, takes, lamps, samples: Fragments, shadows: bool, tal
     tally.samples += len(samples.pixel)
     tally.bent += samples.bent
     for number, lamp in enumerate(lamps):
-        light = lit(scene, samples, lamp, shadows)
+        light = light_from(scene, samples, lamp, shadows)
         tally.reaching += float(light.before.sum())
         tally.blocked += float(light.before.sum() - light.strength.sum())
         reached = light.strength > 0
@@ -196,7 +196,7 @@ MARGIN = 1.18
 """Ratio of a studio's picture to the extent of its content."""
 
 
-def framed(
+def frame_camera(
     points: np.ndarray,
     *,
     elevation: float,
@@ -261,7 +261,7 @@ class Studio:
     surroundings: Surroundings
     paper: Matte | None
 
-    def turned(self, angle: float) -> "Studio":
+    def turn(self, angle: float) -> "Studio":
         """Rotate the cloth about the vertical, radians: as if the camera went round it with its lamps.
 
         The paper must look the same from all sides (wall=False).
@@ -308,7 +308,7 @@ def studio(
     """
     points = np.concatenate([surface.mesh.vertices for surface in surfaces])
     extent = float(np.linalg.norm(np.ptp(points, axis=0)))
-    camera, azimuth = framed(points, **view._asdict(), margin=margin), view.azimuth
+    camera, azimuth = frame_camera(points, **view._asdict(), margin=margin), view.azimuth
     ground = None
     if reflectance > 0:
         ground = Matte((reflectance,) * 3)
@@ -327,13 +327,8 @@ def paper_below(points: np.ndarray, *, azimuth: float, wall: bool = True) -> Sur
     low, high = points.min(axis=0), points.max(axis=0)
     # a little below the lowest point, so that the two do not touch
     foot = np.array([(low[0] + high[0]) / 2, low[1] - 4e-4 * extent, (low[2] + high[2]) / 2])
-    return moved(paper(width, 0.95 * extent, height, bend, turn=azimuth), foot)
-
-
-def moved(surface: Surface, by: np.ndarray) -> Surface:
-    """Shift the surface by a vector (3,)."""
-    mesh = surface.mesh
-    return replace(surface, mesh=Mesh(mesh.vertices + by, mesh.triangles, mesh.normals))
+    below = paper(width, 0.95 * extent, height, bend, turn=azimuth)
+    return replace(below, mesh=Mesh(below.mesh.vertices + foot, below.mesh.triangles, below.mesh.normals))
 
 
 def tubes() -> list[Surface]:

@@ -12,7 +12,7 @@ from nishiki.installation import optional
 from nishiki.render.cloth.scene import Surface
 
 
-def transported(
+def transport_tangents(
     count: int, triangles: np.ndarray, normals: np.ndarray, weft: np.ndarray, known: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Compute unit tangents (count, 3) at all vertices, and the number of vertices at which they are arbitrary.
@@ -58,7 +58,7 @@ def transported(
     fixed = np.flatnonzero(~unknown)
     matrix = (diags(degree[free]) - gather[free][:, free]).tocsc()
     values[free] = spsolve(matrix, gather[free][:, fixed] @ values[fixed])
-    values = _rescued(values, free, gather)
+    values = _rescue(values, free, gather)
     values /= np.maximum(np.abs(values), 1e-300)
     weft[free] = (values.real[:, None] * right + values.imag[:, None] * up)[free]
     return weft, int(orphan.sum())
@@ -77,7 +77,7 @@ def _flattest(normals: np.ndarray) -> np.ndarray:
     return across / np.linalg.norm(across, axis=1, keepdims=True)
 
 
-def _rescued(values: np.ndarray, free: np.ndarray, gather) -> np.ndarray:
+def _rescue(values: np.ndarray, free: np.ndarray, gather) -> np.ndarray:
     """Replace values of nearly no length by the strongest neighbour's, until none are left or nothing helps."""
     values = values.copy()
     for _ in range(8):
@@ -135,8 +135,8 @@ def from_texture(
     back = -np.cross(face, along_v) * np.sign(safe)
     weft = unit(along_u) + unit(back)
     weft = np.where(known[:, None], unit(weft), 0.0)
-    return _settled(
-        vertices, triangles, normals, _gathered(weft, np.where(known, size, 0), triangles, len(vertices)), turn
+    return _settle(
+        vertices, triangles, normals, _gather(weft, np.where(known, size, 0), triangles, len(vertices)), turn
     )
 
 
@@ -149,10 +149,10 @@ def from_direction(
     """
     given = np.array(np.broadcast_to(np.asarray(direction, np.float64), np.shape(vertices)))
     given[~np.isfinite(given).all(axis=1)] = 0.0
-    return _settled(vertices, triangles, normals, unit(given), turn)
+    return _settle(vertices, triangles, normals, unit(given), turn)
 
 
-def _settled(vertices, triangles, normals, given: np.ndarray, turn: float) -> TangentField:
+def _settle(vertices, triangles, normals, given: np.ndarray, turn: float) -> TangentField:
     """Project directions (v, 3) of about unit length to tangents; transport them where nothing is left; rotate them."""
     normals = unit(np.asarray(normals, np.float64))
     across = given - np.sum(given * normals, axis=1, keepdims=True) * normals
@@ -160,13 +160,13 @@ def _settled(vertices, triangles, normals, given: np.ndarray, turn: float) -> Ta
     known = length > FLAT
     weft, arbitrary = unit(across), 0
     if not known.all():
-        weft, arbitrary = transported(len(vertices), triangles, normals, weft, known)
+        weft, arbitrary = transport_tangents(len(vertices), triangles, normals, weft, known)
     if turn:
         weft = np.cos(turn) * weft + np.sin(turn) * np.cross(normals, weft)
     return TangentField(weft, ~known, arbitrary)
 
 
-def _gathered(directions: np.ndarray, weights: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
+def _gather(directions: np.ndarray, weights: np.ndarray, triangles: np.ndarray, count: int) -> np.ndarray:
     """Average the triangles' directions (f, 3) by weight at the vertices (count, 3); unit length or 0."""
     sums = np.zeros((count, 3))
     for axis in range(3):

@@ -18,14 +18,14 @@ import numpy as np
 
 from nishiki.brdf.texels.model import ENVIRONMENT, POINT, ViewLamp, predict
 from nishiki.codec.pictures import decode_picture
-from nishiki.codec.store import Coded
+from nishiki.codec.store import CodedReader
 from nishiki.colour.colour import decode as to_linear
 from nishiki.colour.colour import encode
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.turn import camera_between, fit_turn, scaled
+from nishiki.geometry.turn import camera_between, fit_turn, scale_camera
 from nishiki.geometry.visibility import interpolate, rasterise
-from nishiki.render.display import developed
+from nishiki.render.display import develop
 from nishiki.render.object.pixels import DepthMaps, bilinear, extend, mix
 from nishiki.render.object.shots import (
     DecodedTile,
@@ -234,7 +234,7 @@ class ObjectRenderer:
             return np.ones(len(positions), np.float32)
         return self.lit.visible(lamp.vector, lamp.vector[None], positions, normals, near=lamp.form == POINT)
 
-    def _decoded(self, pictures: Coded, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
+    def _decoded(self, pictures: CodedReader, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
         """Decode a view's picture (channels, rows, columns), and where outline and surface differ (uint8)."""
         shape = self.cameras[view].rows, self.cameras[view].columns
         found = decode_picture(pictures, view, light, shape)
@@ -304,7 +304,7 @@ BAND_PIXELS = 1 << 22
 
 def coverage(mesh: Mesh, camera: Camera, *, samples: int = 3) -> np.ndarray:
     """Compute each pixel's part covered by the surface, (rows, columns) float32, by samples x samples points."""
-    fine = scaled(camera, samples)
+    fine = scale_camera(camera, samples)
     out = np.empty((camera.rows, camera.columns), np.float32)
     height = max(1, BAND_PIXELS // (fine.columns * samples))
     for first in range(0, camera.rows, height):
@@ -351,10 +351,10 @@ def frames(
     factor = width * supersampling / renderer.cameras[0].columns
 
     def scale(camera):
-        return scaled(camera, factor)
+        return scale_camera(camera, factor)
 
     along = places(len(renderer.cameras), frames_per_step, closed=renderer.turn.closed)
     shots = (lit_by(renderer.between(view, fraction, scale=scale), lights) for view, fraction in along)
     for picture in renderer.render(shots):
         linear, alpha = reduced(picture.linear, picture.covered, supersampling)
-        yield developed(linear, alpha, background=background).pixels
+        yield develop(linear, alpha, background=background).pixels

@@ -18,8 +18,8 @@ from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
 from nishiki.render.plane.shade import (
     FRONTAL_EYE,
     ColourGroups,
+    PixelShading,
     PlaneMaps,
-    Shading,
     cast_shadows,
     colour_groups,
     pixel_to_plane,
@@ -320,7 +320,9 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
     return reduced, visibility
 
 
-def _resolve(shading: Shading, inside: np.ndarray, across: int, down: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _resolve(
+    shading: PixelShading, inside: np.ndarray, across: int, down: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Average the samples of each pixel; unusable samples (missing normal or colour, overflow) are omitted.
 
     Returns XYZ (rows, columns, 3), flags and coverage (rows, columns) of the pixels, each down x across samples.

@@ -212,7 +212,7 @@ def _towards(source, pixel):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _transmitted(cosine, pixel):
+def _transmit(cosine, pixel):
     """Compute the body's light transmitted by the surface, relative to frontal."""
     cosine, index = choose(cosine > 1e-6, choose(cosine < 1.0, cosine, 1.0), 1e-6), load(pixel, (INDEX, 0))
     passed = (1.0 - fresnel_scalar(cosine, index)) / (1.0 - fresnel_scalar(splat(1.0), index))
@@ -337,7 +337,7 @@ def shade(first, last, maps, finish, lamps, colours, view, pictures):
             cos_r, leaving = _dot(normal, seen), splat(1.0)
             store(pixel, (COS_R, 0), cos_r)
             if lossy:
-                leaving = _transmitted(cos_r, pixel)
+                leaving = _transmit(cos_r, pixel)
             body[:], shine[:] = 0.0, 0.0
             mean = a + (b + ex * normal[0] + ey * normal[1]) * (2.0 / 3.0) + d * _AMBIENT_SKIRT
             around = 0.5 * ambient * (1.0 + normal[2]) * load(pixel, (ENTER, 0)) * leaving
@@ -361,7 +361,7 @@ def shade(first, last, maps, finish, lamps, colours, view, pictures):
                     terms = a + b * cos_i + d * (x4 * x4) + ex * light[0] + ey * light[1]
                     factor = factor * choose(terms > 0.0, terms, 0.0)
                 if lossy:
-                    factor = factor * leaving * _transmitted(cos_i, pixel)
+                    factor = factor * leaving * _transmit(cos_i, pixel)
                 gloss = splat(0.0)
                 if glossy:
                     gloss = _specular(normal, half, root(length2), cos_i, cos_r, pixel)

@@ -71,11 +71,11 @@ def _sweep_light(surface, pieces, count: int, light: Light, pitch: float) -> np.
     along, across = (toward_row, toward_column) if swap else (toward_column, toward_row)
     flip = along < 0
 
-    def turned(values):
+    def turn(values):
         values = values.T if swap else values
         return np.ascontiguousarray(values[:, ::-1] if flip else values)
 
-    surface, pieces = turned(surface), turned(pieces)
+    surface, pieces = turn(surface), turn(pieces)
     # a multiple of 2^-20: lines along the grid and its diagonals then meet the pixels exactly, and the direction moves
     # by less than 1e-6
     slope = float(np.round(across / abs(along) * 2**20) / 2**20)
@@ -127,7 +127,7 @@ class ColourGroups:
 
 
 @dataclass(frozen=True)
-class Shading:
+class PixelShading:
     """Values of the pixels before compositing with a background."""
 
     # (rows, columns, channels) float32, linear; a perfect white that faces a lamp of intensity 1 has the value 1
@@ -164,7 +164,7 @@ def shade_xyz(
     ambient: Ambient | None = None,
     visibility: np.ndarray | None = None,
     eye: np.ndarray = FRONTAL_EYE,
-) -> Shading:
+) -> PixelShading:
     """Shade the maps: linear XYZ (rows, columns, 3), Tominaga and Tanaka (2004), eq. 10, 19; 0 where n . l <= 0.
 
     visibility: (lights, rows, columns) float32, 1 lit .. 0 in cast shadow, or None; eye: homogeneous (4,), direction
@@ -208,7 +208,7 @@ def shade_channels(
     plane: np.ndarray,
     eye: np.ndarray = FRONTAL_EYE,
     ambient_level: float = 0.0,
-) -> Shading:
+) -> PixelShading:
     """Shade any output channels: `groups` converts coefficients to values."""
     normals, coefficients, gloss, shading, slopes, labels = maps
     if not lights and ambient_level == 0:
@@ -239,7 +239,7 @@ def shade_channels(
         (np.ascontiguousarray(plane, np.float64), np.asarray(eye, np.float64), float(ambient_level), groups.ambient),
         (values, flags),
     )
-    return Shading(values, flags)
+    return PixelShading(values, flags)
 
 
 def pixel_to_plane(pitch: float, shape: tuple[int, int]) -> np.ndarray:
@@ -265,7 +265,7 @@ def entering(gloss: Gloss) -> np.ndarray:
 
 def predict_observations(
     maps: PlaneMaps, lights: list[Light], *, visibility: np.ndarray | None = None, pitch: float = 1.0
-) -> Iterator[Shading]:
+) -> Iterator[PixelShading]:
     """Yield one predicted photograph a light, in order, so that a stack of them need not be held in memory.
 
     The coefficients of the maps are the albedo, perfect white 1; pitch as in `PlaneScene`; visibility: (lights, rows,

@@ -51,7 +51,7 @@ class Steps:
     tilt: float
     shading: float
 
-    def scaled(self, colour: float) -> "Steps":
+    def scale(self, colour: float) -> "Steps":
         """Scale all steps in the proportion that gives this step of colour."""
         factor = colour / self.colour
         return Steps(colour, self.tilt * factor, self.shading * factor)
@@ -111,7 +111,7 @@ class PrincipalCode:
         """Return the same with the axes of the smallest spread first."""
         return PrincipalCode(self.mean, self.components[::-1], self.projections[:, ::-1], self.planes[::-1])
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return the parameters for the manifest."""
         return {
             "mean": self.mean.tolist(),
@@ -163,9 +163,9 @@ class ColourCode:
         u, rest = self._split(coefficients)
         return [self.lightness.encode(u), *self.chroma.encode(rest)]
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return the parameters for the manifest."""
-        return {"direction": self.direction.tolist(), "top": self.lightness.high, **self.chroma.described()}
+        return {"direction": self.direction.tolist(), "top": self.lightness.high, **self.chroma.describe()}
 
 
 def colour_matrices(basis: np.ndarray | None, channels_to_xyz: np.ndarray) -> list[np.ndarray]:
@@ -199,7 +199,7 @@ class NormalCode:
         codes = np.rint((t + 1) * (EVEN_TOP / 2)).astype(np.uint8)
         return [codes[..., 0], codes[..., 1]]
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return the parameters for the manifest."""
         return {"width": self.width, "fineness": self.fineness}
 

@@ -54,7 +54,7 @@ class Pyramid:
             ready = len(pending) if self.end == self.shape[0] else len(pending) // FACTOR * FACTOR
             self.left_over = pending[ready:]
             if ready:
-                self.above.push(halved(halved(pending[:ready])))
+                self.above.push(halve(halve(pending[:ready])))
         while self.coming * TILE < self.shape[0]:
             last = min((self.coming + 1) * TILE + BORDER, self.shape[0])
             if self.end < last:
@@ -73,7 +73,7 @@ class Pyramid:
             self.emit(self.level, self.coming, k, values[np.clip(along, 0, last - 1) - self.first])
 
 
-def halved(values: np.ndarray) -> np.ndarray:
+def halve(values: np.ndarray) -> np.ndarray:
     """Average 2 x 2 pixels of the fields of (rows, columns, fields), weighted by the first field.
 
     The first field is the certainty of each; the last is taken from the pixel after the middle.
@@ -89,7 +89,7 @@ def halved(values: np.ndarray) -> np.ndarray:
     return out
 
 
-def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+def fill_unknown(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Fill the unknown values (rows, columns, fields) with means of their surroundings.
 
     A lossy code then spends nothing on their edges.
@@ -100,8 +100,8 @@ def filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
         mean = values[known].mean(axis=0) if known.any() else np.zeros(values.shape[-1], values.dtype)
         return np.where(known[..., None], values, mean)
     stacked = np.concatenate([known[..., None], values, np.zeros((*known.shape, 1), np.float32)], axis=-1)
-    coarse = halved(np.where(known[..., None], stacked, 0).astype(np.float32))
-    under = filled(coarse[..., 1:-1], coarse[..., 0] > 0)
+    coarse = halve(np.where(known[..., None], stacked, 0).astype(np.float32))
+    under = fill_unknown(coarse[..., 1:-1], coarse[..., 0] > 0)
     under = under.repeat(2, axis=0).repeat(2, axis=1)[: known.shape[0], : known.shape[1]]
     return np.where(known[..., None], values, under)
 
@@ -168,9 +168,9 @@ def encode(codes: np.ndarray) -> tuple[bytes, dict[str, list[int]]]:
         activity += np.uint16(share) * padded[part[0] :, part[1] :][: codes.shape[0], : codes.shape[1]]
     stream = np.searchsorted(THRESHOLDS, activity).astype(np.uint8)
     values = padded[1:, 1:-1]
-    streams = [_deflated(values[stream == k].tobytes()) for k in range(len(THRESHOLDS) + 1)]
+    streams = [_deflate(values[stream == k].tobytes()) for k in range(len(THRESHOLDS) + 1)]
     escaped = np.concatenate(large).astype("<u2")
-    streams.append(_deflated(np.ascontiguousarray(escaped.view(np.uint8).reshape(-1, 2).T).tobytes()))
+    streams.append(_deflate(np.ascontiguousarray(escaped.view(np.uint8).reshape(-1, 2).T).tobytes()))
     block = b"".join(struct.pack("<I", len(each)) + each for each in streams)
     return block, {"weights": list(weights), "thresholds": list(THRESHOLDS)}
 
@@ -218,7 +218,7 @@ def _errors(codes: np.ndarray, weights: tuple[int, ...]) -> np.ndarray:
     return np.where(error < 0, -2 * error - 1, 2 * error).astype(np.uint16)
 
 
-def _deflated(data: bytes) -> bytes:
+def _deflate(data: bytes) -> bytes:
     """Compress to a zlib stream, with or without a search for repetitions, whichever is shorter."""
     coder = zlib.compressobj(9, zlib.DEFLATED, zlib.MAX_WBITS, 9, zlib.Z_HUFFMAN_ONLY)
     return min(coder.compress(data) + coder.flush(), zlib.compress(data, 6), key=len)

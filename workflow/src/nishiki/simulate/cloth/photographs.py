@@ -22,7 +22,7 @@ from nishiki.simulate.capture import (
     write_image,
 )
 from nishiki.simulate.cloth.points import R2
-from nishiki.simulate.cloth.reflectance import Cloth, blocks, cell_maps, make_cloth
+from nishiki.simulate.cloth.reflectance import SimulatedCloth, blocks, cell_maps, make_cloth
 from nishiki.simulate.cloth.settings import PRESETS, GoniometerSettings, preset, unit
 from nishiki.simulate.randomness import subkey, uniform
 from nishiki.threads import over_rows
@@ -35,7 +35,7 @@ _SAMPLES = 24  # a pixel
 
 
 @dataclass(frozen=True)
-class Shot:
+class SimulatedShot:
     """One photograph.
 
     row of the session's angles, codes (rows, columns, channels) uint16, exposure in seconds, and the noise-free
@@ -48,7 +48,7 @@ class Shot:
     reflectance: np.ndarray
 
 
-def photographs(cloths: tuple[Cloth, ...], settings: GoniometerSettings) -> Iterator[Shot]:
+def photographs(cloths: tuple[SimulatedCloth, ...], settings: GoniometerSettings) -> Iterator[SimulatedShot]:
     """Yield all photographs of the session, not in its order: those that share their rays come together."""
     angles = settings.angles_deg
     incident, outgoing = unit(angles[:, 0], angles[:, 1]), unit(angles[:, 2], angles[:, 3])
@@ -61,7 +61,7 @@ def photographs(cloths: tuple[Cloth, ...], settings: GoniometerSettings) -> Iter
             exposure = exposure_for(light, settings)
             signal = light * (settings.camera.white_level * exposure / BASE_S)
             key = subkey(settings.seed, f"cloth noise {row}")
-            yield Shot(int(row), expose(signal, settings.camera, key=key), exposure, reflectance)
+            yield SimulatedShot(int(row), expose(signal, settings.camera, key=key), exposure, reflectance)
 
 
 def on_sensor(cells: list[np.ndarray], cloths, angles_deg: np.ndarray, settings: GoniometerSettings) -> np.ndarray:
@@ -216,7 +216,7 @@ def frame_row(file: str, role: str, angles_deg, exposure_s: float | None) -> tup
     return (file, role, *angles, "" if exposure_s is None else f"{exposure_s:.9g}")
 
 
-def geometry(cloth: Cloth) -> dict:
+def geometry(cloth: SimulatedCloth) -> dict:
     """Return the contents of a geometry file of the truth folder: settings, and the layout of the yarns."""
     systems = {}
     for name, yarns in (("warp", cloth.solids.warp), ("weft", cloth.solids.weft)):

@@ -26,7 +26,7 @@ BINS_A_YARN = 2  # of the openness
 
 
 @dataclass(frozen=True)
-class Cloth:
+class SimulatedCloth:
     """A cloth ready to be lit: its settings, solids, the points of its surface, and the paths between them."""
 
     settings: ClothSettings
@@ -46,7 +46,9 @@ class Cloth:
         return np.array([[yarn.along, yarn.across, s.index] for yarn in (s.warp, s.weft)])
 
 
-def make_cloth(settings: ClothSettings, *, candidates: int = 150_000, chains: int = 60_000, bounces: int = 2) -> Cloth:
+def make_cloth(
+    settings: ClothSettings, *, candidates: int = 150_000, chains: int = 60_000, bounces: int = 2
+) -> SimulatedCloth:
     """Make yarns, points and paths.
 
     candidates: points before unreachable ones are dropped. chains: random walks. bounces: further meetings of light and
@@ -55,16 +57,16 @@ def make_cloth(settings: ClothSettings, *, candidates: int = 150_000, chains: in
     solids = make_solids(settings)
     points = make_points(solids, settings, candidates=candidates)
     paths = make_chains(solids, points, settings, count=chains, bounces=bounces) if bounces and chains else None
-    return Cloth(settings, solids, points, paths)
+    return SimulatedCloth(settings, solids, points, paths)
 
 
-def trace(settings: ClothSettings | Cloth, incident, outgoing, **quality) -> np.ndarray:
+def trace(settings: ClothSettings | SimulatedCloth, incident, outgoing, **quality) -> np.ndarray:
     """Compute the BRDF (n, channels) in 1/sr for pairs of directions; `quality` as in `make_cloth`.
 
     incident, outgoing : (n, 3) or (3,) unit vectors away from the cloth, x along the weft, y along the warp, z up.
     0 where either is not above the horizon. Deterministic: the same settings give the same values.
     """
-    cloth = settings if isinstance(settings, Cloth) else make_cloth(settings, **quality)
+    cloth = settings if isinstance(settings, SimulatedCloth) else make_cloth(settings, **quality)
     incident, outgoing = np.broadcast_arrays(
         np.atleast_2d(np.asarray(incident, float)), np.atleast_2d(np.asarray(outgoing, float))
     )
@@ -74,7 +76,7 @@ def trace(settings: ClothSettings | Cloth, incident, outgoing, **quality) -> np.
     return values
 
 
-def blocks(cloth: Cloth, incident: np.ndarray, outgoing: np.ndarray) -> Iterator[tuple]:
+def blocks(cloth: SimulatedCloth, incident: np.ndarray, outgoing: np.ndarray) -> Iterator[tuple]:
     """Yield blocks of pairs of directions (n, 3) that share their rays: (rows, lamps, views, index).
 
     rows of the pairs, reach of their lamps and views, and the combinations of these, (pairs, 2). Pairs with a direction
@@ -85,11 +87,11 @@ def blocks(cloth: Cloth, incident: np.ndarray, outgoing: np.ndarray) -> Iterator
     views, view = _distinct(outgoing[up])
     for first in range(0, len(lamps), _DIRECTIONS):
         of_lamps = (lamp >= first) & (lamp < first + _DIRECTIONS)
-        from_lamps = seen_from(cloth, lamps[first : first + _DIRECTIONS])
+        from_lamps = trace_reach(cloth, lamps[first : first + _DIRECTIONS])
         for other in range(0, len(views), _DIRECTIONS):
             pairs = np.flatnonzero(of_lamps & (view >= other) & (view < other + _DIRECTIONS))
             if len(pairs):
-                to_views = seen_from(cloth, views[other : other + _DIRECTIONS])
+                to_views = trace_reach(cloth, views[other : other + _DIRECTIONS])
                 yield up[pairs], from_lamps, to_views, np.column_stack([lamp[pairs] - first, view[pairs] - other])
 
 
@@ -110,7 +112,7 @@ class Reach:
     last: np.ndarray | None
 
 
-def seen_from(cloth: Cloth, directions: np.ndarray) -> Reach:
+def trace_reach(cloth: SimulatedCloth, directions: np.ndarray) -> Reach:
     """Trace rays from all points, and from the ends of all paths, in some directions."""
     directions = np.ascontiguousarray(directions)
     points, chains = cloth.points, cloth.chains
@@ -129,7 +131,7 @@ def seen_from(cloth: Cloth, directions: np.ndarray) -> Reach:
     return Reach(directions, lit, *entering)
 
 
-def cell_maps(cloth: Cloth, lamps, views, index: np.ndarray) -> np.ndarray:
+def cell_maps(cloth: SimulatedCloth, lamps, views, index: np.ndarray) -> np.ndarray:
     """Map the BRDF in the camera's view over one period of the cloth: (pairs, bins in y, bins in x, channels), 1/sr.
 
     A point is seen where its line of sight meets the plane z = 0. Light that met the yarns more than once is
@@ -144,7 +146,7 @@ def cell_maps(cloth: Cloth, lamps, views, index: np.ndarray) -> np.ndarray:
         (points.place, points.frame, points.area, points.kind), (cloth.surface, cloth.dye), cell, maps,
     )  # fmt: skip
     maps *= shape[0] * shape[1]
-    maps += bounced(cloth, lamps, views, index)[:, None, None]
+    maps += sum_bounces(cloth, lamps, views, index)[:, None, None]
     cosines = lamps.directions[index[:, 0], 2] * views.directions[index[:, 1], 2]
     return maps / (solids.area * cosines[:, None, None, None])
 
@@ -173,7 +175,7 @@ def _bin(start, stop, index, directions, points, cloth, cell, maps):
                     maps[n, j, i, channel] += share * (mirror + dye[k, channel] * white)
 
 
-def bounced(cloth: Cloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.ndarray:
+def sum_bounces(cloth: SimulatedCloth, lamps: Reach, views: Reach, index: np.ndarray) -> np.ndarray:
     """Sum light that met the yarns more than once, (pairs, channels) mm²/sr.
 
     Both ends of every path take turns as the lamp's. Over the cell's area and both cosines it is a BRDF.

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges, ranged
+from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges, declare_range
 from nishiki.simulate.randomness import subkey
 
 
@@ -20,13 +20,13 @@ class YarnSettings:
     twist_deg : angle between filaments and yarn on the surface. dye : albedo of the body per channel, 0 to 1.
     """
 
-    spacing_mm: float = ranged(1e-3, 10.0)
-    fill: float = ranged(0.3, 0.99)
+    spacing_mm: float = declare_range(1e-3, 10.0)
+    fill: float = declare_range(0.3, 0.99)
     thickness_mm: float
-    flatness: float = ranged(1.5, 6.0)
-    along: float = ranged(0.03, 1.0)
-    across: float = ranged(0.03, 1.0)
-    twist_deg: float = ranged(-60.0, 60.0)
+    flatness: float = declare_range(1.5, 6.0)
+    along: float = declare_range(0.03, 1.0)
+    across: float = declare_range(0.03, 1.0)
+    twist_deg: float = declare_range(-60.0, 60.0)
     dye: tuple[float, ...]
 
 
@@ -35,20 +35,20 @@ class ClothSettings:
     """Everything that decides how a simulated cloth reflects."""
 
     weave: str  # plain, twill or satin
-    harness: int = ranged(2, 16)  # yarns of a repeat (plain: 2)
+    harness: int = declare_range(2, 16)  # yarns of a repeat (plain: 2)
     step: int  # shift of the binding from one yarn to the next
     # _crimp : share of the warp in the sum of both amplitudes, which is that of two yarns that touch
     warp: YarnSettings
     weft: YarnSettings
-    warp_crimp: float = ranged(0.05, 0.95, 0.35)
+    warp_crimp: float = declare_range(0.05, 0.95, 0.35)
     # shape of the way from one side to the other: 0 straight with kinks, 1 two arcs without a straight part
-    bend: float = ranged(0.0, 1.0, 0.6)
-    rest: float = ranged(0.0, 0.6, 0.05)  # share of a crossing's length on which a yarn lies level
-    arch_deg: float = ranged(0.0, 30.0, 8.0)  # steepest slope of the arch of a float
-    irregularity: float = ranged(0.0, 3.0, 1.0)  # 0 = all yarns alike; 1 = as in a filament cloth
-    repeats: int = ranged(1, 8, 2)  # the irregular cell holds repeats × repeats repeats of the weave
-    index: float = ranged(1.05, 3.0, 1.57)  # refractive, of the filaments
-    seed: int = ranged(0, 2**53, 1)
+    bend: float = declare_range(0.0, 1.0, 0.6)
+    rest: float = declare_range(0.0, 0.6, 0.05)  # share of a crossing's length on which a yarn lies level
+    arch_deg: float = declare_range(0.0, 30.0, 8.0)  # steepest slope of the arch of a float
+    irregularity: float = declare_range(0.0, 3.0, 1.0)  # 0 = all yarns alike; 1 = as in a filament cloth
+    repeats: int = declare_range(1, 8, 2)  # the irregular cell holds repeats × repeats repeats of the weave
+    index: float = declare_range(1.05, 3.0, 1.57)  # refractive, of the filaments
+    seed: int = declare_range(0, 2**53, 1)
     face: str = "warp"  # warp or weft, which is on top mostly
     channels: tuple[str, ...] = field(default=("red", "green", "blue"))
 
@@ -137,12 +137,12 @@ class GoniometerSettings:
 
     cloths: tuple[ClothSettings, ...]
     angles_deg: np.ndarray
-    rows: int = ranged(16, 1024, 48)
-    columns: int = ranged(16, 1024, 48)
-    pitch_mm: float = ranged(1e-3, 10.0, 0.25)
-    candidates: int = ranged(1000, 10_000_000, 150_000)
-    chains: int = ranged(0, 10_000_000, 60_000)
-    bounces: int = ranged(0, 3, 2)
+    rows: int = declare_range(16, 1024, 48)
+    columns: int = declare_range(16, 1024, 48)
+    pitch_mm: float = declare_range(1e-3, 10.0, 0.25)
+    candidates: int = declare_range(1000, 10_000_000, 150_000)
+    chains: int = declare_range(0, 10_000_000, 60_000)
+    bounces: int = declare_range(0, 3, 2)
     seed: int = 1
     white_reflectance: float = 0.99
     white_texture: float = 0.006

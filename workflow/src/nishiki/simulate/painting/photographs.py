@@ -12,7 +12,7 @@ from nishiki.simulate.capture import (
     DARK_FRAMES,
     FINE_NM,
     CameraSettings,
-    Truth,
+    TruthWriter,
     camera_from,
     channel_names,
     dark_frame,
@@ -29,7 +29,7 @@ from nishiki.simulate.painting.settings import (
     PRESETS,
     REGIONS,
     LampPose,
-    LightSettings,
+    LampSettings,
     SimulationSettings,
     beam_strength,
     board_cosine,
@@ -47,7 +47,7 @@ WAVELENGTHS_NM = np.arange(400.0, 700.5, 5.0)
 
 
 @dataclass(frozen=True)
-class Photograph:
+class SimulatedPhotograph:
     """codes : (rows, columns, channels) uint16. lit : (rows, columns) uint8, percent of the pixel that the lamp lights.
 
     The following are None for sample lights. They are relative to a perfect white diffuser facing the lamp (Y = 1),
@@ -109,7 +109,9 @@ def bands(settings: SimulationSettings) -> Iterator[slice]:
     return strips(settings.rows)
 
 
-def photograph(thing: SimulatedObject, lamp: LampPose, settings: SimulationSettings, tables: Tables) -> Photograph:
+def photograph(
+    thing: SimulatedObject, lamp: LampPose, settings: SimulationSettings, tables: Tables
+) -> SimulatedPhotograph:
     """Photograph the object under one lamp. Truth is returned where `tables` carry it."""
     channels = settings.camera.channels
     shape = (settings.rows, settings.columns)
@@ -132,7 +134,7 @@ def photograph(thing: SimulatedObject, lamp: LampPose, settings: SimulationSetti
             truth["xyz_d65"][rows] = observed[..., channels + 3 :] * tilt[..., None]
             truth["gloss"][rows] = shading.gloss * tilt
             truth["body"][rows] = shading.body[..., channels + 1] * tilt
-    return Photograph(codes, lit, **(truth or {}))
+    return SimulatedPhotograph(codes, lit, **(truth or {}))
 
 
 def white_board(lamp: LampPose, settings: SimulationSettings, tables: Tables) -> np.ndarray:
@@ -165,7 +167,7 @@ def settings_from(options) -> SimulationSettings:
         supersampling=2 if options.supersampling is None else options.supersampling,
         bounce=not options.no_bounce,
         camera=camera_from(options, CameraSettings(channels=options.channels)),
-        lights=LightSettings(
+        lights=LampSettings(
             rings=options.rings,
             ring_lights=options.ring_lights,
             top=not options.no_top,
@@ -237,7 +239,7 @@ def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[LampP
     )
 
 
-class PaintingTruth(Truth):
+class PaintingTruth(TruthWriter):
     """The truth of a painting, filled light by light."""
 
     def __init__(self, folder: Path, settings: SimulationSettings, thing: SimulatedObject, lamps: tuple[LampPose, ...]):
@@ -261,7 +263,7 @@ class PaintingTruth(Truth):
             self.make(name, (len(self.checks), *shape, *tail), np.float32)
         self.group.attrs["label_names"] = list(palette.names)
 
-    def add(self, lamp: LampPose, shot: Photograph) -> None:
+    def add(self, lamp: LampPose, shot: SimulatedPhotograph) -> None:
         """Add one photograph."""
         self.group["lit"][self.names.index(lamp.name)] = shot.lit
         if lamp.role == "check":

@@ -206,7 +206,7 @@ BODY_SIGMA = 0.20  # roughness of the paint itself, radians (Oren-Nayar)
 
 
 @dataclass(frozen=True)
-class Shading:
+class LampShading:
     """Shading of some rows of the picture by one lamp, relative to a white diffuser facing the lamp; all float32."""
 
     body: np.ndarray  # (rows, columns, tables) body reflection through each column of the colour table, bounce included
@@ -287,7 +287,7 @@ def _shade(start, stop, first, maps, paints, grid, lamp, out):
 
 def shade(
     thing: SimulatedObject, lamp: LampPose, settings: SimulationSettings, *, table, squared, rows: slice | None = None
-) -> Shading:
+) -> LampShading:
     """Shade the given rows (all if None).
 
     table : (labels, tables) weighted reflectance of each paint, 1 for a perfect white; squared : likewise of the
@@ -327,4 +327,4 @@ def shade(
         for i, j in np.ndindex(s, s):
             body += (light * squared[label[i::s, j::s]]).astype(np.float32)
     inner = slice(rows.start - first, rows.stop - first)
-    return Shading(body[inner], gloss[inner], direct[inner], lit[inner])
+    return LampShading(body[inner], gloss[inner], direct[inner], lit[inner])

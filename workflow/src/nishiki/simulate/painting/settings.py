@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges, ranged
+from nishiki.simulate.capture import CameraSettings, check_choice, check_ranges, declare_range
 from nishiki.simulate.randomness import subkey
 
 INNER_REFLECTION = 0.5  # share of diffuse light that the surface sends back into the paint layer (Saunderson's k2)
@@ -20,7 +20,7 @@ OUTER_REFLECTION = 0.04  # share lost on the way in (k1)
 
 
 @dataclass(frozen=True)
-class Pigment:
+class Colourant:
     """Absorption: floor + edges + bands, each (strength, nm, width), an edge absorbs below; scattering: power law."""
 
     scattering: float
@@ -44,21 +44,21 @@ class Pigment:
 
 
 PIGMENTS = {
-    "white": Pigment(1.0, 0.0009, edges=((1.2, 396.0, 6.0),)),
-    "black": Pigment(0.08, 3.0, exponent=0.1),
-    "ultramarine": Pigment(0.13, 0.03, edges=((0.5, 384.0, 12.0),), bands=((2.4, 592.0, 52.0), (0.5, 535.0, 30.0))),
-    "cobalt": Pigment(0.20, 0.025, bands=((0.8, 545.0, 24.0), (1.3, 588.0, 21.0), (1.4, 634.0, 25.0))),
-    "cerulean": Pigment(0.25, 0.035, edges=((0.4, 402.0, 14.0),), bands=((1.1, 612.0, 44.0), (0.6, 682.0, 40.0))),
-    "viridian": Pigment(0.12, 0.05, bands=((1.9, 622.0, 60.0), (1.3, 412.0, 36.0))),
-    "lemon": Pigment(0.55, 0.006, edges=((5.0, 468.0, 8.0),)),
-    "yellow": Pigment(0.60, 0.010, edges=((6.0, 497.0, 9.0),)),
-    "orange": Pigment(0.55, 0.012, edges=((6.0, 560.0, 11.0),)),
-    "vermilion": Pigment(0.50, 0.015, edges=((6.0, 587.0, 10.0),)),
-    "madder": Pigment(0.06, 0.015, bands=((1.6, 514.0, 31.0), (1.2, 556.0, 21.0), (0.5, 440.0, 45.0))),
-    "violet": Pigment(0.12, 0.06, bands=((1.6, 562.0, 48.0), (0.25, 630.0, 40.0))),
-    "ochre": Pigment(0.40, 0.05, edges=((1.3, 536.0, 27.0),), bands=((0.30, 478.0, 26.0), (0.10, 655.0, 42.0))),
-    "sienna": Pigment(0.25, 0.10, edges=((2.0, 580.0, 29.0),), bands=((0.2, 690.0, 60.0),)),
-    "umber": Pigment(0.20, 0.42, edges=((1.4, 560.0, 80.0),)),
+    "white": Colourant(1.0, 0.0009, edges=((1.2, 396.0, 6.0),)),
+    "black": Colourant(0.08, 3.0, exponent=0.1),
+    "ultramarine": Colourant(0.13, 0.03, edges=((0.5, 384.0, 12.0),), bands=((2.4, 592.0, 52.0), (0.5, 535.0, 30.0))),
+    "cobalt": Colourant(0.20, 0.025, bands=((0.8, 545.0, 24.0), (1.3, 588.0, 21.0), (1.4, 634.0, 25.0))),
+    "cerulean": Colourant(0.25, 0.035, edges=((0.4, 402.0, 14.0),), bands=((1.1, 612.0, 44.0), (0.6, 682.0, 40.0))),
+    "viridian": Colourant(0.12, 0.05, bands=((1.9, 622.0, 60.0), (1.3, 412.0, 36.0))),
+    "lemon": Colourant(0.55, 0.006, edges=((5.0, 468.0, 8.0),)),
+    "yellow": Colourant(0.60, 0.010, edges=((6.0, 497.0, 9.0),)),
+    "orange": Colourant(0.55, 0.012, edges=((6.0, 560.0, 11.0),)),
+    "vermilion": Colourant(0.50, 0.015, edges=((6.0, 587.0, 10.0),)),
+    "madder": Colourant(0.06, 0.015, bands=((1.6, 514.0, 31.0), (1.2, 556.0, 21.0), (0.5, 440.0, 45.0))),
+    "violet": Colourant(0.12, 0.06, bands=((1.6, 562.0, 48.0), (0.25, 630.0, 40.0))),
+    "ochre": Colourant(0.40, 0.05, edges=((1.3, 536.0, 27.0),), bands=((0.30, 478.0, 26.0), (0.10, 655.0, 42.0))),
+    "sienna": Colourant(0.25, 0.10, edges=((2.0, 580.0, 29.0),), bands=((0.2, 690.0, 60.0),)),
+    "umber": Colourant(0.20, 0.42, edges=((1.4, 560.0, 80.0),)),
 }
 
 
@@ -199,7 +199,7 @@ PRESETS = {"painting": (384, 512), "tiny": (64, 96), "large": (1536, 2048), "ful
 
 
 @dataclass(frozen=True)
-class LightSettings:
+class LampSettings:
     """The lamp and its positions.
 
     rings, ring_lights : number of rings and of lights in each. top : whether there is a light beside the camera.
@@ -207,13 +207,13 @@ class LightSettings:
     angular_diameter_deg : of the lamp seen from the object. colour_temperature_k : of its Planckian spectrum.
     """
 
-    rings: int = ranged(0, 8, 1)
-    ring_lights: int = ranged(3, 64, 8)
+    rings: int = declare_range(0, 8, 1)
+    ring_lights: int = declare_range(3, 64, 8)
     top: bool = True
     checks_deg: tuple[float, ...] = (20.0, 30.0, 50.0, 60.0)
     distance_mm: float | None = None
-    angular_diameter_deg: float = ranged(0.0, 20.0, 1.5)
-    colour_temperature_k: float = ranged(1500.0, 25000.0, 3200.0)
+    angular_diameter_deg: float = declare_range(0.0, 20.0, 1.5)
+    colour_temperature_k: float = declare_range(1500.0, 25000.0, 3200.0)
 
     def __post_init__(self):
         check_ranges(self, *(("checks_deg", angle, 0.0, 85.0) for angle in self.checks_deg))
@@ -232,21 +232,21 @@ class SimulationSettings:
     bounce : whether light that reaches a point by way of its surroundings is added. `relief_gain` scales all heights.
     """
 
-    rows: int = ranged(16, 20000, 384)
-    columns: int = ranged(16, 20000, 512)
-    seed: int = ranged(0, 2**53, 1)
+    rows: int = declare_range(16, 20000, 384)
+    columns: int = declare_range(16, 20000, 512)
+    seed: int = declare_range(0, 2**53, 1)
     scene: str = "painting"
     relief: str = "impasto"
     gloss: str = "varnish"
     body: str = "rough"
     roughness: float | None = None
-    refractive_index: float = ranged(1.05, 3.0, 1.5)
-    relief_gain: float = ranged(0.0, 10.0, 1.0)
-    pitch_mm: float = ranged(1e-3, 10.0, 0.2)
-    supersampling: int = ranged(1, 4, 2)
+    refractive_index: float = declare_range(1.05, 3.0, 1.5)
+    relief_gain: float = declare_range(0.0, 10.0, 1.0)
+    pitch_mm: float = declare_range(1e-3, 10.0, 0.2)
+    supersampling: int = declare_range(1, 4, 2)
     bounce: bool = True
     camera: CameraSettings = field(default_factory=CameraSettings)
-    lights: LightSettings = field(default_factory=LightSettings)
+    lights: LampSettings = field(default_factory=LampSettings)
 
     def __post_init__(self):
         check_choice("scene", self.scene, SCENES)

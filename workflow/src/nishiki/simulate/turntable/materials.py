@@ -60,7 +60,7 @@ def _apart(a, b):
     return a - np.floor(a) - 0.5, b - np.floor(b) - 0.5
 
 
-def _even(number):
+def _uniform(number):
     return number % 2 == 0
 
 
@@ -89,7 +89,7 @@ def _flower(m, key, u, v, size):
     _mix(m, r < 0.42 * edge * (0.7 + 0.3 * inner), _ENAMELS[(first + 1) % 6].T, 0.8)
     heart = r < 0.15 * edge
     _set(m, heart, (0.55, 0.33, 0.05), 0.2)
-    _mix(m, heart & _even(np.floor(u / 0.9) + np.floor(v / 0.9)), (0.15, 0.06, 0.02), 0.4)
+    _mix(m, heart & _uniform(np.floor(u / 0.9) + np.floor(v / 0.9)), (0.15, 0.06, 0.02), 0.4)
     # Fine outlines: of the petals, and of the flower in gold.
     _mix(m, covered & (wave * r < 0.6) & (r > 0.42 * edge), (0.10, 0.03, 0.03), 0.4)
     _gild(m, covered & (edge - r < 0.75), 0.36, 0.36)
@@ -110,7 +110,7 @@ def _field(m, key, turn, s):
     bare = tone < 0.56
     _mix(m, bare, (0.72, 0.55, 0.40), 0.5 * np.maximum(0.45 - tone, 0.0) / 0.45)
     _mix(m, ~bare & (line < 0.06), (0.48, 0.10, 0.06), 0.45)
-    other = _even(np.floor(a + 0.5) + np.floor(b + 0.5))
+    other = _uniform(np.floor(a + 0.5) + np.floor(b + 0.5))
     _mix(m, ~bare & (line >= 0.06) & other, (0.36, 0.46, 0.40), 0.35)
     leaf = solid_noise(key + np.uint64(4), 8.0 * np.cos(turn), s / 9.0, 8.0 * np.sin(turn)) - 0.60
     leafy = leaf > 0.0
@@ -129,17 +129,17 @@ def _waves(m, turn, s):
         u = _apart(place + 0.5 * (level % 2), 0)[0] * width
         r = np.hypot(u, s - (level - 0.6) * height) / (0.56 * width)
         ring = np.where(r < 1, r, ring)
-    blue = (ring < 0.0) | ~_even(np.floor(ring * 3.4))
+    blue = (ring < 0.0) | ~_uniform(np.floor(ring * 3.4))
     _set(m, blue, (0.05, 0.12, 0.40), 0.15)
     _set(m, ~blue, (0.68, 0.68, 0.64), 0.15)
 
 
-def _woven(m, key, around, s):
+def _weave(m, key, around, s):
     """Paint a basket weave: strips over and under."""
     pitch = 4.4
     a, b = around / pitch, s / pitch
     i, j, (fa, fb) = np.floor(a), np.floor(b), _apart(a, b)
-    over = _even(i + j)
+    over = _uniform(i + j)
     along, across = np.where(over, (fa, fb), (fb, fa))
     dye = uniforms(_bits(key, np.where(over, j, i) + 900), 1)
     grain = solid_noise(key + np.uint64(9), np.where(over, a, b) * 0.8, np.where(over, b, a) * 9.0, 0.0)
@@ -160,7 +160,7 @@ def _jar(m, key, x, y, z):
     _set(m, foot & ((abs(s + 52.0) < 0.8) | (abs(s + 54.5) < 0.4) | (y < 1.5)), (0.04, 0.09, 0.30), 0.17)
     arch = abs(np.sin(0.5 * FLUTES * turn))
     inside = -0.33 - 0.42 * (1.0 - arch) - latitude
-    _within(m, petals & (inside > 0.035), _woven, key, 64.0 * turn, s)
+    _within(m, petals & (inside > 0.035), _weave, key, 64.0 * turn, s)
     _gild(m, petals & (inside > 0.005) & (inside <= 0.035), 0.40, 0.40)
     rest = petals & (inside <= 0.005)
     _set(m, rest, (0.03, 0.08, 0.29), 0.13)
@@ -202,7 +202,7 @@ def _cord(m, key, x, y, z):
     m[8], m[SLOPE.stop - 1] = 0.45, 0.25 * thread
 
 
-def _gilded(m, key, x, y, z):
+def _gilding(m, key, x, y, z):
     wear = solid_fractal(key + np.uint64(50), x / 7.0, y / 7.0, z / 7.0, 4)
     brush = solid_noise(key + np.uint64(55), x / 3.0, y / 3.0, z / 0.5)
     worn = wear > 0.64
@@ -236,7 +236,7 @@ def _fruit(m, key, x, y, z):
     _mix(m, ~leaf & seed, (0.22, 0.10, 0.03), 0.75)
 
 
-PAINTS = {BODY: _jar, LID: _lacquer, ROPE: _cord, HANDLES: _gilded, FRUIT: _fruit, ANIMAL: _creature}
+PAINTS = {BODY: _jar, LID: _lacquer, ROPE: _cord, HANDLES: _gilding, FRUIT: _fruit, ANIMAL: _creature}
 
 
 def _across(vector, normal):
@@ -299,7 +299,7 @@ def describe(parts: np.ndarray, points: np.ndarray, normals: np.ndarray, *, key:
     return out
 
 
-def reflected(materials: np.ndarray, lights: np.ndarray, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def reflect(materials: np.ndarray, lights: np.ndarray, views: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Compute body and mirror reflection (n, 3) of materials (n, NUMBERS) for unit vectors to light and view (n, 3)."""
     m, normal, tangent = materials.T, materials[:, 9:12], materials[:, 12:15]
     frame = np.stack([tangent, np.cross(normal, tangent), normal])

@@ -9,7 +9,7 @@ from nishiki.errors import UserError
 from nishiki.simulate.capture import (
     BOARD_REFLECTANCE,
     DARK_FRAMES,
-    Truth,
+    TruthWriter,
     camera_from,
     dark_frame,
     expose,
@@ -32,11 +32,11 @@ from nishiki.simulate.turntable.shape import (
     PRESETS,
     STRAY,
     WHITE_RATIO,
+    SimulatedView,
     TurntableSettings,
-    Viewpoint,
     make_surface,
     place_views,
-    scanned,
+    scan,
 )
 
 
@@ -59,7 +59,7 @@ def _plane(settings: TurntableSettings) -> tuple[np.ndarray, np.ndarray]:
     return u[None, :], v[:, None]
 
 
-def make_optics(view: Viewpoint, settings: TurntableSettings) -> Optics:
+def make_optics(view: SimulatedView, settings: TurntableSettings) -> Optics:
     """Model the lens's fall-off (4 % in the corners), unevenness of the polarisers (±3 %) and of the board's light.
 
     The board stands in the place of the object, facing the camera; the same for every view, as camera and lamp are.
@@ -83,7 +83,7 @@ def make_optics(view: Viewpoint, settings: TurntableSettings) -> Optics:
     return Optics(sensitivity, beta, board * -np.sum(to_lamp * into, axis=-1) / np.sqrt(square))
 
 
-def blurred(image: np.ndarray) -> np.ndarray:
+def blur(image: np.ndarray) -> np.ndarray:
     """Blur a picture (rows, columns, channels) by the lens: normal point spread of BLUR_PIXELS."""
     from scipy.ndimage import correlate1d
 
@@ -100,8 +100,8 @@ def components(light: Radiance, settings: TurntableSettings) -> tuple[np.ndarray
     bare = (1.0 - light.coverage)[..., None].astype(np.float64)
     u, v = _plane(settings)
     backdrop = (CLOTH * (1.0 - 0.4 * v + 0.1 * u))[..., None]  # the black cloth: a faint glow that is stronger below
-    diffuse = blurred(light.diffuse + bare * backdrop)
-    return diffuse + STRAY, blurred(light.specular.astype(np.float64))
+    diffuse = blur(light.diffuse + bare * backdrop)
+    return diffuse + STRAY, blur(light.specular.astype(np.float64))
 
 
 def signal(light: Radiance, optics: Optics, settings: TurntableSettings, state: str) -> np.ndarray:
@@ -153,7 +153,7 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
     optics = make_optics(views[0], settings)
     states = ("off", "on") if settings.polariser else ("",)
     lamp = LAMP if options.lights_as != "camera" else ""
-    store = ObjectTruth(truth, settings, views, scene, optics)
+    store = ObjectTruthWriter(truth, settings, views, scene, optics)
     frames = []
 
     def keep(file: str, role: str, codes: np.ndarray, *, view="", light="", state="", silhouette="") -> None:
@@ -193,7 +193,7 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         write_csv(capture / "lights.csv", rows)
     if options.mesh == "scan":
         surface = make_surface(settings.scan_triangles) if settings.scan_triangles else scene.surface
-        points = scanned(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed)
+        points = scan(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed)
         (capture / "object.ply").write_bytes(mesh_bytes(*points))
     write_description(
         capture,
@@ -229,7 +229,7 @@ def mesh_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
     return header.encode("ascii") + np.ascontiguousarray(vertices, "<f4").tobytes() + faces.tobytes()
 
 
-class ObjectTruth(Truth):
+class ObjectTruthWriter(TruthWriter):
     """The truth of an object, filled view by view."""
 
     def __init__(self, folder: Path, settings: TurntableSettings, views, scene: SimulatedScene, optics: Optics):
@@ -255,7 +255,7 @@ class ObjectTruth(Truth):
             self.group[name][place] = getattr(light, name)
 
 
-def truth_attributes(settings: TurntableSettings, views: tuple[Viewpoint, ...]) -> dict:
+def truth_attributes(settings: TurntableSettings, views: tuple[SimulatedView, ...]) -> dict:
     """Return the attributes of truth.zarr."""
     return {
         "views": [view.name for view in views],

@@ -8,13 +8,13 @@ import numpy as np
 from nishiki.geometry.visibility import Hits, RayTree, cast, frames_about, make_tree
 from nishiki.simulate.randomness import GOLDEN_RATIO, mix_bits, subkey, uniforms
 from nishiki.simulate.reflection import metal_fresnel
-from nishiki.simulate.turntable.materials import INDEX, describe, reflected
+from nishiki.simulate.turntable.materials import INDEX, describe, reflect
 from nishiki.simulate.turntable.shape import (
     AIM_MM,
     LAMP_RADIUS_MM,
     SimulatedSurface,
+    SimulatedView,
     TurntableSettings,
-    Viewpoint,
     make_surface,
 )
 from nishiki.threads import strips
@@ -26,7 +26,7 @@ _GATHERED_RAYS = 1 << 19  # at a time
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class VertexSurroundings:
     """The surroundings of each vertex."""
 
     seen: np.ndarray  # (v, directions) int32, the vertex that each ray meets, -1 = none
@@ -44,7 +44,7 @@ def cosine_directions(count: int) -> np.ndarray:
     return np.column_stack([r * np.cos(turn), r * np.sin(turn), np.sqrt(1.0 - r * r)])
 
 
-def look_around(surface: SimulatedSurface, tree: RayTree, *, directions: int, seed: int) -> Surroundings:
+def look_around(surface: SimulatedSurface, tree: RayTree, *, directions: int, seed: int) -> VertexSurroundings:
     """Send rays from every vertex; average the materials about it."""
     count = len(surface.vertices)
     toward = cosine_directions(directions)
@@ -64,7 +64,7 @@ def look_around(surface: SimulatedSurface, tree: RayTree, *, directions: int, se
         corner = surface.triangles[hits.triangle, weights.argmax(axis=1)]
         seen[some] = np.where(hits.triangle >= 0, corner, -1).reshape(-1, directions)
     albedo, shine = _mean_materials(surface, subkey(seed, "turntable paint"))
-    return Surroundings(seen, toward, spin, albedo, shine, surface.normals)
+    return VertexSurroundings(seen, toward, spin, albedo, shine, surface.normals)
 
 
 def _mean_materials(surface: SimulatedSurface, key: int) -> tuple[np.ndarray, np.ndarray]:
@@ -90,7 +90,7 @@ def _mean_materials(surface: SimulatedSurface, key: int) -> tuple[np.ndarray, np
     return mean[:, :3], mean[:, 3:]
 
 
-def bounced(around: Surroundings, direct: np.ndarray, bounces: int) -> tuple[np.ndarray, np.ndarray]:
+def trace_bounces(around: VertexSurroundings, direct: np.ndarray, bounces: int) -> tuple[np.ndarray, np.ndarray]:
     """Compute indirect irradiance (v, 3) and radiosity (v, 3) of the vertices under direct (v,) or (v, 3) irradiance.
 
     `bounces` diffuse reflections: the first by what is lit directly. Facets of metal are taken as dark here.
@@ -103,7 +103,9 @@ def bounced(around: Surroundings, direct: np.ndarray, bounces: int) -> tuple[np.
     return indirect, around.albedo * (direct + indirect)
 
 
-def mirrored(surface: SimulatedSurface, around: Surroundings, radiosity: np.ndarray, eye: np.ndarray) -> np.ndarray:
+def mirror_object(
+    surface: SimulatedSurface, around: VertexSurroundings, radiosity: np.ndarray, eye: np.ndarray
+) -> np.ndarray:
     """Compute the object's own image (v, 3) in facets that reflect all light, at each vertex towards the eye.
 
     The mean of the surroundings' radiosity with the weights of GGX facets.
@@ -134,7 +136,7 @@ class SimulatedScene:
 
     surface: SimulatedSurface
     tree: RayTree
-    around: Surroundings
+    around: VertexSurroundings
     key: int
 
 
@@ -154,7 +156,7 @@ class Radiance:
 
 
 @dataclass(frozen=True)
-class _Points:
+class _RayHits:
     """Places where rays met the object."""
 
     pixel: np.ndarray  # (n,), its number in the pixel (n,)
@@ -177,12 +179,12 @@ def make_scene(settings: TurntableSettings) -> SimulatedScene:
     return SimulatedScene(surface, tree, around, subkey(settings.seed, "turntable paint"))
 
 
-def see(scene: SimulatedScene, view: Viewpoint, settings: TurntableSettings) -> Radiance:
+def see(scene: SimulatedScene, view: SimulatedView, settings: TurntableSettings) -> Radiance:
     """Render the light of one view; pixels are means over their area, without blur and noise."""
-    indirect, radiosity = bounced(scene.around, irradiance(scene, view), settings.bounces)
+    indirect, radiosity = trace_bounces(scene.around, irradiance(scene, view), settings.bounces)
     mirror = np.zeros_like(indirect)
     if settings.bounces:
-        mirror = mirrored(scene.surface, scene.around, radiosity, view.centre)
+        mirror = mirror_object(scene.surface, scene.around, radiosity, view.centre)
     shape = (settings.rows, settings.columns)
     light = Radiance(
         np.zeros((*shape, 3), np.float32),
@@ -216,12 +218,12 @@ def lamp_rays(points: np.ndarray, lamp: np.ndarray, a: np.ndarray, b: np.ndarray
     return rays / distance[:, None], distance
 
 
-def reference(view: Viewpoint) -> float:
+def reference(view: SimulatedView) -> float:
     """Return the squared distance (mm²) at which the lamp gives irradiance 1: that of the axis."""
     return float(np.sum((view.lamp - np.array(AIM_MM)) ** 2))
 
 
-def irradiance(scene: SimulatedScene, view: Viewpoint) -> np.ndarray:
+def irradiance(scene: SimulatedScene, view: SimulatedView) -> np.ndarray:
     """Compute the lamp's irradiance (v,) on every vertex, with shadows; 1 for a surface at the axis that faces it."""
     surface = scene.surface
     origins, total = surface.vertices + OFFSET_MM * surface.normals, np.zeros(len(surface.vertices))
@@ -236,7 +238,7 @@ def irradiance(scene: SimulatedScene, view: Viewpoint) -> np.ndarray:
     return total / _LAMP_POINTS
 
 
-def _aim(scene, view, settings, rows: slice, vertex_light: np.ndarray) -> _Points:
+def _aim(scene, view, settings, rows: slice, vertex_light: np.ndarray) -> _RayHits:
     """Send rays through stratified random places of the pixels of some rows, and find where they meet the object."""
     side, columns = settings.samples, settings.columns
     count = (rows.stop - rows.start) * columns
@@ -259,7 +261,7 @@ def _aim(scene, view, settings, rows: slice, vertex_light: np.ndarray) -> _Point
     weights = np.column_stack([1.0 - hits.weights.sum(axis=1), hits.weights])
     values = np.hstack([scene.surface.normals, scene.surface.parts, vertex_light])
     mixed = sum(weights[:, corner, None] * values[corners[:, corner]] for corner in range(3))
-    return _Points(
+    return _RayHits(
         pixel[met],
         sample[met],
         numbers[met],
@@ -273,7 +275,7 @@ def _aim(scene, view, settings, rows: slice, vertex_light: np.ndarray) -> _Point
     )
 
 
-def _shade(scene, view, settings, met: _Points) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _shade(scene, view, settings, met: _RayHits) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute diffuse and specular light (n, 3) of every sample to the camera, and its albedo (n, 3)."""
     m = describe(met.parts, met.points, met.normals, key=scene.key)
     # One point of the lamp's disc a sample; together the pixel's samples cover the disc (a sunflower pattern).
@@ -284,7 +286,7 @@ def _shade(scene, view, settings, met: _Points) -> tuple[np.ndarray, np.ndarray,
     free = cast(scene.tree, origins[facing], rays[facing], far=distance[facing], any_hit=True).triangle < 0
     lit = facing[free]
     body, gloss = np.zeros((len(m), 3)), np.zeros((len(m), 3))
-    body[lit], gloss[lit] = reflected(m[lit], rays[lit], -met.rays[lit])
+    body[lit], gloss[lit] = reflect(m[lit], rays[lit], -met.rays[lit])
     strength = (reference(view) / distance**2)[:, None]
     # Schlick for the surroundings' image too: its light comes from many sides, the exact curve gains nothing.
     cosine = -np.einsum("ij,ij->i", m[:, 9:12], met.rays)[:, None]
@@ -294,7 +296,7 @@ def _shade(scene, view, settings, met: _Points) -> tuple[np.ndarray, np.ndarray,
     return diffuse, gloss * strength, m[:, :3]
 
 
-def _collect(met: _Points, diffuse, specular, albedo, settings, out: Radiance) -> None:
+def _collect(met: _RayHits, diffuse, specular, albedo, settings, out: Radiance) -> None:
     """Average over the pixels of some rows, into `out`."""
     shape = out.coverage.shape
     count = np.bincount(met.pixel, minlength=out.coverage.size)

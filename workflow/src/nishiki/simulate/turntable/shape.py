@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from nishiki.installation import optional
-from nishiki.simulate.capture import CameraSettings, check_ranges, ranged
+from nishiki.simulate.capture import CameraSettings, check_ranges, declare_range
 from nishiki.threads import strips
 
 PARTS = ("body", "lid", "rope", "handles", "fruit", "animal")
@@ -143,13 +143,13 @@ def make_surface(triangles: int) -> SimulatedSurface:
         if count > triangles / 6:
             break
     vertices, faces = _march(spacing)
-    surface = _settled(vertices, faces)
+    surface = _settle(vertices, faces)
     for _ in range(4):
-        surface = _settled(_relaxed(surface), faces)
+        surface = _settle(_relax(surface), faces)
     return _without_slivers(surface, spacing)
 
 
-def scanned(surface: SimulatedSurface, *, noise_mm: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+def scan(surface: SimulatedSurface, *, noise_mm: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
     """Return vertices (v, 3) and triangles as a scanner would deliver them: vertices off along the normal."""
     from nishiki.simulate.randomness import subkey
 
@@ -173,7 +173,7 @@ def _march(spacing: float) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.ascontiguousarray(faces, np.int32)
 
 
-def _settled(vertices: np.ndarray, faces: np.ndarray) -> SimulatedSurface:
+def _settle(vertices: np.ndarray, faces: np.ndarray) -> SimulatedSurface:
     points, normals, parts = np.empty_like(vertices), np.empty_like(vertices), np.empty((len(vertices), len(PARTS)))
     for some in strips(len(points)):
         place, slope = settle(vertices[some].T, 3)
@@ -196,7 +196,7 @@ def _triangle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)
 
 
-def _relaxed(surface: SimulatedSurface) -> np.ndarray:
+def _relax(surface: SimulatedSurface) -> np.ndarray:
     """Move vertices half way to the mean of their neighbours, along the surface only: evens out the triangles."""
     count = len(surface.vertices)
     ends = np.concatenate([surface.triangles[:, [a, b]] for a in range(3) for b in range(3) if a != b])
@@ -249,17 +249,17 @@ class TurntableSettings:
     has, None = the object's own. scan_noise_mm : standard deviation of its vertices along the normal.
     """
 
-    rows: int = ranged(16, 20000, 384)
-    columns: int = ranged(16, 20000, 384)
-    views: int = ranged(2, 3600, 36)
-    seed: int = ranged(0, 2**53, 1)
-    triangles: int = ranged(LEAST_TRIANGLES, MOST_TRIANGLES, 30000)
-    samples: int = ranged(1, 8, 4)
-    directions: int = ranged(16, 4096, 256)
-    bounces: int = ranged(0, 4, 2)
+    rows: int = declare_range(16, 20000, 384)
+    columns: int = declare_range(16, 20000, 384)
+    views: int = declare_range(2, 3600, 36)
+    seed: int = declare_range(0, 2**53, 1)
+    triangles: int = declare_range(LEAST_TRIANGLES, MOST_TRIANGLES, 30000)
+    samples: int = declare_range(1, 8, 4)
+    directions: int = declare_range(16, 4096, 256)
+    bounces: int = declare_range(0, 4, 2)
     polariser: bool = True
     scan_triangles: int | None = None
-    scan_noise_mm: float = ranged(0.0, 5.0, 0.02)
+    scan_noise_mm: float = declare_range(0.0, 5.0, 0.02)
     white_boards: int = 8
     camera: CameraSettings = field(
         default_factory=lambda: CameraSettings(full_well=40000.0, read_noise=6.0, white_level=0.5)
@@ -289,7 +289,7 @@ PRESETS = {
 
 
 @dataclass(frozen=True)
-class Viewpoint:
+class SimulatedView:
     """One view."""
 
     name: str
@@ -306,7 +306,7 @@ class Viewpoint:
         return k @ np.column_stack([self.rotation, -self.rotation @ self.centre])
 
 
-def place_views(settings: TurntableSettings) -> tuple[Viewpoint, ...]:
+def place_views(settings: TurntableSettings) -> tuple[SimulatedView, ...]:
     """List the views in the order of the turn: each turns the object by 360°/views, anticlockwise from above."""
     focal = DISTANCE_MM * min(settings.columns / _WIDTH_MM, settings.rows / _HEIGHT_MM)
     principal = (0.5 * settings.columns - 0.5 + 1.7, 0.5 * settings.rows - 0.5 - 0.9)
@@ -321,5 +321,5 @@ def place_views(settings: TurntableSettings) -> tuple[Viewpoint, ...]:
         up = np.cross(back, right)
         centre = np.array(AIM_MM) + DISTANCE_MM * back
         lamp = centre + LAMP_MM[0] * right + LAMP_MM[1] * up + LAMP_MM[2] * back
-        views.append(Viewpoint(f"{index:03d}", np.stack([right, -up, -back]), centre, lamp, focal, principal))
+        views.append(SimulatedView(f"{index:03d}", np.stack([right, -up, -back]), centre, lamp, focal, principal))
     return tuple(views)

@@ -15,7 +15,7 @@ from nishiki.brdf.gloss_profile import (
     specular_samples,
     unit_of,
 )
-from nishiki.brdf.scene import described_ladder, of_equal_lobes, parameters_at_bounds, without_gloss
+from nishiki.brdf.scene import describe_ladder, pad_lobes, parameters_at_bounds, without_gloss
 from nishiki.brdf.torrance_sparrow import MIRROR
 from nishiki.model_selection.decision import Decision, decide_gloss, economy
 from nishiki.observations.plane import Observations, parcels
@@ -70,7 +70,7 @@ def fit_glossy(
     if kept.any():
         fitted = fit_regions(gather(context, frames, painting, labels, kept, finishes))
         regions = [glossy if keep else none for glossy, none, keep in zip(fitted, regions, kept, strict=True)]
-    return of_equal_lobes(regions), decision
+    return pad_lobes(regions), decision
 
 
 def fit_regions(histogram: SpecularHistogram) -> list[dict]:
@@ -79,7 +79,7 @@ def fit_regions(histogram: SpecularHistogram) -> list[dict]:
     for region in range(len(histogram.rows)):
         gloss, profile = fit_gloss(histogram, region=region), histogram.profile(region=region)
         parameters.append(
-            described_ladder(
+            describe_ladder(
                 gloss.beta, gloss.gamma, blurred_lobes(profile, gloss.gamma), profile, gloss.refractive_index
             )
         )

@@ -7,7 +7,7 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.capture.tables import read_points
 from nishiki.errors import UserError
-from nishiki.geometry.board import BoardShape, Calibration, Detection, calibrate, detect_boards
+from nishiki.geometry.board import BoardShape, Detection, LensCalibration, calibrate, detect_boards
 from nishiki.geometry.camera import NO_DISTORTION, Camera, cameras_of_matrices, save_cameras
 from nishiki.geometry.pose import Pose, Sight, choose_poses, estimate_pose
 from nishiki.geometry.silhouettes import display, segment
@@ -25,9 +25,9 @@ def run(context: Context) -> dict:
     points = read_points(folder / name, name, views.views) if name else None
     source = source_of(context.settings.source, views, points)
     if source == "matrices":
-        (cameras, errors, mirror), diagnostics = given(views, points), {}
+        (cameras, errors, mirror), diagnostics = use_given_cameras(views, points), {}
     else:
-        locate = estimated if source == "photographs" else located
+        locate = estimate_cameras if source == "photographs" else locate_cameras
         (cameras, errors, diagnostics), mirror = locate(context, views, source, points), None
     save_cameras(
         context.output.path("cameras.json"),
@@ -76,7 +76,9 @@ def source_of(source: str, views: Views, points: dict[str, np.ndarray] | None) -
     )
 
 
-def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Camera], list[float | None], tuple | None]:
+def use_given_cameras(
+    views: Views, points: dict[str, np.ndarray] | None
+) -> tuple[list[Camera], list[float | None], tuple | None]:
     """Return the given matrices with the distortion of a given lens, and their error on correspondences, if any."""
     rows, columns = views.shape
     matrices = views.matrices or {}
@@ -105,7 +107,9 @@ def given(views: Views, points: dict[str, np.ndarray] | None) -> tuple[list[Came
     return cameras, errors, decomposed.mirror
 
 
-def located(context: Context, views: Views, source: str, points: dict | None) -> tuple[list[Camera], list[float], dict]:
+def locate_cameras(
+    context: Context, views: Views, source: str, points: dict | None
+) -> tuple[list[Camera], list[float], dict]:
     """Estimate poses from boards or correspondences."""
     settings = context.settings
     rows, columns = views.shape
@@ -136,7 +140,7 @@ def located(context: Context, views: Views, source: str, points: dict | None) ->
     return cameras, errors, diagnostics
 
 
-def estimated(
+def estimate_cameras(
     context: Context, views: Views, source: str, points: dict | None
 ) -> tuple[list[Camera], list[None], dict]:
     """Estimate poses from the photographs alone, with their standard deviations."""
@@ -186,7 +190,7 @@ def find_boards(views: Views) -> Detection | None:
 
 def lens_of(
     views: Views, boards: Detection | None, settings: CamerasSettings
-) -> tuple[np.ndarray, tuple[float, ...], Calibration | None]:
+) -> tuple[np.ndarray, tuple[float, ...], LensCalibration | None]:
     """Return given intrinsics, or those from the boards. UserError where there is neither."""
     if views.intrinsics:
         return np.array(views.intrinsics["matrix"], float), tuple(views.intrinsics["distortion"]), None

@@ -152,7 +152,7 @@ def region(context: Context, measured: Reflectances, models: ClothModels, name: 
     """
     number = measured.regions.index(name)
     valid = np.flatnonzero(measured.valid[:, number])
-    used = {model: np.intersect1d(models.used(name, model), valid) for model in models.names(name)}
+    used = {model: np.intersect1d(models.rows_of_fit(name, model), valid) for model in models.names(name)}
     oblique = valid[~measured.normal_incidence[valid]]
     references = {model for model, rows in used.items() if uses_all(rows, valid) or uses_all(rows, oblique)}
     seen = np.unique(np.concatenate([rows for model, rows in used.items() if model not in references] or [valid[:0]]))
@@ -167,8 +167,8 @@ def region(context: Context, measured: Reflectances, models: ClothModels, name: 
         judged_models[model] = {
             "facts": models.facts(name, model),
             "reference": model in references,
-            HELD_OUT: judged(measured, number, values, held_out),
-            FITTED: judged(measured, number, values, used[model]),
+            HELD_OUT: judge_errors(measured, number, values, held_out),
+            FITTED: judge_errors(measured, number, values, used[model]),
         }
     return {
         "valid": len(valid),
@@ -183,7 +183,7 @@ def uses_all(used: np.ndarray, rows: np.ndarray) -> bool:
     return len(rows) > 0 and bool(np.isin(rows, used).all())
 
 
-def judged(measured: Reflectances, number: int, predicted: np.ndarray, rows: np.ndarray) -> dict:
+def judge_errors(measured: Reflectances, number: int, predicted: np.ndarray, rows: np.ndarray) -> dict:
     """Compute errors on these measurements, at each incidence and over the planes of each polar angle."""
     if not len(rows):
         return {"measurements": 0, "rows": [], "by_incidence": {}}

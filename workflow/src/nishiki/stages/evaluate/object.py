@@ -12,7 +12,7 @@ from nishiki.errors import UserError
 from nishiki.evaluate.object_photographs import ObjectTruth, Photographs
 from nishiki.evaluate.tables import planned_truth, write_tables
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.display import developed, three_channels, write_png
+from nishiki.render.display import develop, three_channels, write_png
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.pixels import extend
 from nishiki.render.object.renderer import block_mean
@@ -193,7 +193,7 @@ def comparison(
     for name, values in (("photograph", photograph), ("rendered", rendered), ("model", model)):
         linear = np.where(mask[..., None], decode(np.ascontiguousarray(values[box]), encoding), np.float32(0))
         shown = block_mean(linear.astype(np.float32), size)
-        out[name] = developed(shown, np.ones(shown.shape[:2], np.float32)).pixels
+        out[name] = develop(shown, np.ones(shown.shape[:2], np.float32)).pixels
     delta = three_channels(np.where(mask[..., None], rendered[box] - photograph[box], 0).astype(np.float32))
     grey = 0.5 + AMPLIFIED * block_mean(delta, size)
     out["error"] = np.floor(np.clip(grey, 0, 1) * 255 + 0.5).astype(np.uint8)
@@ -213,7 +213,7 @@ def run(context: Context) -> dict:
     charts = decoded.atlas.chart
     cost = cost_of(decoded.mesh, charts, decoded.cameras, decoded.lighting.as_dict(), decoded.residual.bytes)
     captured = len(decoded.lights) * (len(decoded.views) - len(decoded.numbers(settings.hold_out)))
-    work = Work(context, decoded, cost.mesh.restored(decoded.mesh), photographs, truth, cost.total / max(1, captured))
+    work = Work(context, decoded, cost.mesh.restore(decoded.mesh), photographs, truth, cost.total / max(1, captured))
     rows = [row for light in range(len(decoded.lights)) for row in work.light(light)]
     summaries = figures(rows)
     bits = 8 * cost.total / work.pixels if work.pixels else None

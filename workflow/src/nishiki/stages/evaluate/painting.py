@@ -25,8 +25,8 @@ from nishiki.stages.painting_maps import (
     PredictedLight,
     captured_lamp,
     channel_colour,
+    lower_light,
     predict_light,
-    seen_from,
     spectral_colour,
 )
 
@@ -72,7 +72,7 @@ class EvaluatedScene(PaintingMaps):
         self.estimated, level = np.zeros(frames.shape, bool), np.zeros(frames.shape, np.float32)
         for rows in frames.bands():
             reflectance = self.maps.read("reflectance", rows)
-            self.estimated[rows] = self.known(rows) & np.isfinite(reflectance).all(axis=-1)
+            self.estimated[rows] = self.read_known(rows) & np.isfinite(reflectance).all(axis=-1)
             level[rows] = reflectance.mean(axis=-1)
         labels = self.regions(slice(0, self.shape[0]))
         self.parts = parts_of(labels, level, frames.mask & self.estimated)
@@ -82,7 +82,7 @@ class EvaluatedScene(PaintingMaps):
         middle = (self.shape[0] - 1) / 2
         return predict_light(
             self.model(rows),
-            seen_from(light, ((rows.start + rows.stop - 1) / 2 - middle) * self.pitch),
+            lower_light(light, ((rows.start + rows.stop - 1) / 2 - middle) * self.pitch),
             visibility=None if visibility is None else visibility[:, rows],
             pitch=self.pitch,
         )
@@ -118,7 +118,7 @@ class CheckTruth:
 
 
 @dataclass(frozen=True)
-class Truth:
+class SceneTruth:
     """Truth of a scene; any part may be None or empty."""
 
     normals: np.ndarray | None = None  # (rows, columns, 3), zero or NaN where unknown
@@ -161,7 +161,7 @@ def truth_from(
     attributes: Mapping[str, Any] | None = None,
     region: tuple[int, int, int, int] | None = None,
     asked: tuple[int, int, int, int] | None = None,
-) -> Truth:
+) -> SceneTruth:
     """Build the truth from named arrays: those that docs/simulator.md lists, or `normals` alone.
 
     shape : (rows, columns) of the scene's maps; region : (row, column, rows, columns) of the scene in the photographs;
@@ -175,21 +175,21 @@ def truth_from(
         raise UserError(f"truth: expected an array named normals or height_mm, found {found}")
     window = _window(np.shape(arrays["normals" if "normals" in names else "height_mm"])[:2], shape, region, asked)
 
-    def mapped(name: str) -> np.ndarray | None:
+    def read_map(name: str) -> np.ndarray | None:
         return np.asarray(arrays[name][...])[window] if name in names else None
 
-    def listed(name: str) -> np.ndarray | None:
+    def read_list(name: str) -> np.ndarray | None:
         return np.asarray(arrays[name][...]) if name in names else None
 
     complete = {"xyz_lamp", "xyz_d65", "gloss", "body", "lit"} <= names
-    return Truth(
-        normals=mapped("normals"),
-        height_mm=mapped("height_mm"),
-        paints=mapped("labels") if "spectra" in names else None,
-        spectra=listed("spectra"),
-        regions=mapped("regions"),
+    return SceneTruth(
+        normals=read_map("normals"),
+        height_mm=read_map("height_mm"),
+        paints=read_map("labels") if "spectra" in names else None,
+        spectra=read_list("spectra"),
+        regions=read_map("regions"),
         region_names=tuple(attributes.get("regions", ())),
-        roughness=listed("roughness"),
+        roughness=read_list("roughness"),
         checks=tuple(attributes.get("checks", ())) if complete else (),
         arrays=arrays if complete else None,
         lights=tuple(attributes.get("lights", ())),
@@ -212,11 +212,11 @@ def _window(size: tuple[int, int], shape: tuple[int, int], region, asked) -> tup
     )
 
 
-def read_truth(context: Context, frames: Observations) -> Truth:
+def read_truth(context: Context, frames: Observations) -> SceneTruth:
     """Read the truth of a simulated capture (truth.zarr), or an .npz with normals; empty where none is given."""
     path = planned_truth(context)
     if path is None:
-        return Truth()
+        return SceneTruth()
     region, asked = (tuple(frames.attributes[name]) for name in ("region_of_interest", "asked_region"))
     if (path / "truth.zarr").is_dir():
         group = open_group(path / "truth.zarr")
@@ -235,7 +235,7 @@ def read_truth(context: Context, frames: Observations) -> Truth:
     return truth_from(load_arrays(tables[0]), shape=frames.shape, region=region, asked=asked)
 
 
-def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
+def against_truth(truth: SceneTruth, scene: EvaluatedScene, out: MapWriter) -> dict:
     """Compute errors of the maps themselves; None without truth or a map of the kind."""
     result: dict[str, dict | None] = {"normals": None, "height": None, "reflectance": None}
     if truth.normals is not None:
@@ -266,7 +266,7 @@ def against_truth(truth: Truth, scene: EvaluatedScene, out: MapWriter) -> dict:
     return result
 
 
-def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter):
+def relight(context: Context, scene: EvaluatedScene, truth: SceneTruth, out: MapWriter):
     """Score every light that no fit used; pool the differences of all of them, by part and together."""
     frames = scene.frames
     chosen = [
@@ -298,7 +298,7 @@ def relight(context: Context, scene: EvaluatedScene, truth: Truth, out: MapWrite
 
 
 def one_light(
-    context: Context, scene: EvaluatedScene, truth: Truth, out: MapWriter, j: int
+    context: Context, scene: EvaluatedScene, truth: SceneTruth, out: MapWriter, j: int
 ) -> tuple[dict, np.ndarray, np.ndarray]:
     """Score one light, and write its map of differences.
 

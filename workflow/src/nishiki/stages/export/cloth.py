@@ -31,7 +31,7 @@ from nishiki.geometry.mesh import write_ply
 from nishiki.optional_formats.reflectance_tables import bsdf_bytes
 from nishiki.render.cloth.models import ClothModels
 from nishiki.render.cloth.scene import EDGE, STEPS, Brdf, BrdfTable, ClothScene
-from nishiki.render.cloth.studio import MARGIN, Lighting, RenderVariant, framed, paper_below, render
+from nishiki.render.cloth.studio import MARGIN, Lighting, RenderVariant, frame_camera, paper_below, render
 from nishiki.render.display import three_channels
 from nishiki.stages.export import mitsuba_cloth
 from nishiki.stages.export.registry import software, write_formats
@@ -60,7 +60,7 @@ class GltfCloth:
     channels: int = 3
 
     @classmethod
-    def of_parameters(cls, x: np.ndarray, along_warp: bool) -> "GltfCloth":
+    def from_parameters(cls, x: np.ndarray, along_warp: bool) -> "GltfCloth":
         """Return base, roughness, anisotropy, weight, specular colour (9,)."""
         return cls(x[:3], float(x[3]), float(x[4]), float(x[5]), x[6:9], along_warp)
 
@@ -138,7 +138,7 @@ def fitted_cloth(brdf: Brdf, *, count: int = PAIRS) -> GltfCloth:
     colour = np.clip(np.median(true, axis=0) / 12.92, 0.002, 0.9)  # a guess: dark, where the coding is linear
     fits = []
     for along_warp, (roughness, anisotropy) in product((False, True), STARTS):
-        material = partial(GltfCloth.of_parameters, along_warp=along_warp)
+        material = partial(GltfCloth.from_parameters, along_warp=along_warp)
         solved = least_squares(
             lambda x, made=material: (shone(made(x), incident, outgoing) - true).ravel(),
             [*colour, roughness, anisotropy, 0.8, 1, 1, 1],
@@ -186,7 +186,7 @@ def errors(cloth: ExportedCloth, material: Brdf) -> dict:
     squares, differences = [], []
     for elevation, azimuth in np.radians(VIEWS):
         points = cloth.draped.surface.mesh.vertices
-        camera = framed(
+        camera = frame_camera(
             points, elevation=elevation, azimuth=azimuth, rows=SIDE, columns=SIDE, distance=cloth.shown.view.distance
         )
         lamps = [Lighting(above, turn, (1.0, 1.0, 1.0), 0.0).lamp(azimuth) for above, turn in np.radians(LAMPS)]
@@ -290,7 +290,7 @@ def camera_of(cloth: ExportedCloth) -> Camera:
     view = cloth.shown.view
     place = {"elevation": np.radians(view.elevation_deg), "azimuth": np.radians(view.azimuth_deg)}
     size: dict[str, Any] = {"rows": view.rows, "columns": view.columns, "distance": view.distance}
-    return framed(cloth.draped.surface.mesh.vertices, **place, **size, margin=MARGIN)
+    return frame_camera(cloth.draped.surface.mesh.vertices, **place, **size, margin=MARGIN)
 
 
 def camera_facts(camera: Camera, middle: np.ndarray) -> dict:

@@ -32,7 +32,7 @@ from nishiki.formats.textured_surface import INDEX, SurfaceLook, TexturedMesh
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.scene import Gloss
 from nishiki.stages.export.registry import METRES, CodedErrors, ExportedSurface, GltfLook
-from nishiki.stages.export.scene import ExportedScene, Photographs, reliefs
+from nishiki.stages.export.scene import CodedPhotographs, ExportedScene, reliefs
 
 ROUGHNESS = np.geomspace(1, 0.05, 90)
 STRENGTH = np.append(0, np.geomspace(1e-3, 20, 120))
@@ -95,7 +95,7 @@ class GltfMaterial:
         """Compute the base colour that yields this albedo (..., 3) (or a metal's) for light and view at the normal."""
         return np.clip(albedo / (1 - np.expand_dims(self.fresnel(1.0) * (1 - self.metallic), -1)), 0, 1)
 
-    def shown(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
+    def render(self, base: np.ndarray, normals: np.ndarray, light: np.ndarray) -> np.ndarray:
         """Render light (n, 3) relative to a white that faces the lamp, along z; base colours and normals (n, 3)."""
         view = np.array([0.0, 0.0, 1.0])
         half = (light + view) / np.linalg.norm(light + view)
@@ -246,12 +246,12 @@ def painting_gloss(
     together = sum(count * each.min(axis=0) for count, each in zip(counts, errors, strict=True))
     only = np.where(np.arange(together.size) == np.argmin(together), 0, np.inf)
     alike = [best_material(each + only, common, mirror) for each, mirror in zip(errors, metal, strict=True)]
-    stored = tuple if labels is None else _stored
-    gltf, usd = (RegionGloss(stored(each), labels, _widened(each, labels, variance)) for each in (free, alike))
+    stored = tuple if labels is None else _quantise
+    gltf, usd = (RegionGloss(stored(each), labels, _widen_roughness(each, labels, variance)) for each in (free, alike))
     return PaintingGloss(gltf, _white(gltf), _white(usd))
 
 
-def _widened(
+def _widen_roughness(
     materials: Sequence[GltfMaterial], labels: np.ndarray | None, variance: np.ndarray | None
 ) -> np.ndarray | None:
     """Compute the roughness of the texels' lobes, as 8 bits; None without widening or gloss."""
@@ -269,7 +269,7 @@ def _white(gloss: RegionGloss) -> RegionGloss:
     return replace(gloss, materials=tuple(WhiteAtGrazing(**vars(material)) for material in gloss.materials))
 
 
-def _stored(materials: Sequence[GltfMaterial]) -> tuple[GltfMaterial, ...]:
+def _quantise(materials: Sequence[GltfMaterial]) -> tuple[GltfMaterial, ...]:
     """Quantise roughness and weight to 8 bits, with one factor."""
     most = max(1.0, *(float(material.strength) for material in materials))
     return tuple(
@@ -286,7 +286,7 @@ def _stored(materials: Sequence[GltfMaterial]) -> tuple[GltfMaterial, ...]:
 FIGURES = {"roughness": "roughness", "specular": "strength", "ior": "index", "metallic": "metallic"}
 
 
-class Texels(NamedTuple):
+class TexelBlock(NamedTuple):
     """Rows (r,) and columns (c,) of texels; linear colours and unit normals (r c, 3), row by row."""
 
     rows: np.ndarray
@@ -305,12 +305,12 @@ class PaintingLook:
     normals: np.ndarray
     step: int  # pixels along the side of a texel
 
-    def texels(self, rows: slice, columns: int) -> Texels:
+    def texels(self, rows: slice, columns: int) -> TexelBlock:
         """Select the texels that represent pixels."""
         down, across = np.arange(rows.start, rows.stop) // self.step, np.arange(columns) // self.step
         base = decode(self.colours[down][:, across].reshape(-1, 3) / 255, "srgb")
         normals = self.normals[down][:, across].reshape(-1, 3) / 255 * 2 - 1
-        return Texels(down, across, base, normals / np.linalg.norm(normals, axis=1, keepdims=True))
+        return TexelBlock(down, across, base, normals / np.linalg.norm(normals, axis=1, keepdims=True))
 
     def surface(self, gloss: RegionGloss) -> SurfaceLook:
         """Convert the look to the terms of USD and MaterialX."""
@@ -410,7 +410,7 @@ def textures(scene: ExportedScene, most: int, *, slopes: bool) -> TexelMaps:
     return TexelMaps(
         scene.mean(scene.srgb, step),
         scene.mean_normals(scene.relief_normals, step),
-        None if labels is None else most_frequent(labels, scene.known(everything), step),
+        None if labels is None else most_frequent(labels, scene.read_known(everything), step),
         scene.block_slopes(step)[..., ::2].mean(axis=-1) if slopes else None,
         step,
     )
@@ -433,7 +433,7 @@ def errors(
     glosses : the look's gloss as formats take it, by their names; so are the results. The photographs are read once.
     """
     frames = Observations(context.inputs["ingest"].folder)
-    photographs = Photographs(frames, scene)
+    photographs = CodedPhotographs(frames, scene)
     hold_out = context.settings.hold_out
     groups = {"fitted": frames.fit_lights(hold_out), "check": frames.check_lights(hold_out)}
     different = {id(gloss): gloss for gloss in glosses.values()}
@@ -447,7 +447,7 @@ def errors(
             for each, gloss in different.items():
                 material = gloss.of(texels.rows, texels.columns)
                 for number, light in enumerate(lights):
-                    shown = material.shown(texels.colours, texels.normals, frames.directions[light])
+                    shown = material.render(texels.colours, texels.normals, frames.directions[light])
                     found[each].add(number, encode(shown, "srgb"), values[number].T, valid[number])
         for name, gloss in glosses.items():
             result[name][group] = found[id(gloss)].decibels()

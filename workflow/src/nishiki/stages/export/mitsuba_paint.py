@@ -53,7 +53,7 @@ def define():
         def texel(self, name, si, active):
             return self.textures[name].eval_3(si, active) if name in self.textures else mi.Color3f(0)
 
-        def of_region(self, region, values):
+        def take_region(self, region, values):
             """Return the value of a texel's region."""
             chosen = mi.Float(values[0])
             for number, value in enumerate(values[1:], 1):
@@ -67,7 +67,7 @@ def define():
             parallel = (cosine * s - 1) / (cosine * d + 1)
             return 0.5 * (d / s) ** 2 * (1 + parallel * parallel)
 
-        def passed(self, cosine, index, transmission):
+        def transmit(self, cosine, index, transmission):
             straight = 1 - ((index - 1) / (index + 1)) ** 2
             return 1 + transmission * ((1 - self.fresnel(cosine, index)) / straight - 1)
 
@@ -87,7 +87,7 @@ def define():
             total = mi.Float(0)
             for lobe in range(len(self.regions[0]["beta"])):
                 beta, gamma = (
-                    self.of_region(region, [each[name][lobe] for each in self.regions]) for name in ("beta", "gamma")
+                    self.take_region(region, [each[name][lobe] for each in self.regions]) for name in ("beta", "gamma")
                 )
                 narrow = gamma * gamma / (2 * math.log(2))
                 a, b, c = narrow + scale * xx, scale * xy, narrow + scale * yy
@@ -107,9 +107,9 @@ def define():
             c, r, q = (dr.maximum(each, 1e-6) for each in (c, r, q))
             region = self.textures["regions"].eval_1(si, active) if "regions" in self.textures else 0
             index, loss = (
-                self.of_region(region, [each[name] for each in self.regions]) for name in ("index", "transmission")
+                self.take_region(region, [each[name] for each in self.regions]) for name in ("index", "transmission")
             )
-            passed = self.passed(c, index, loss) * self.passed(r, index, loss)
+            passed = self.transmit(c, index, loss) * self.transmit(r, index, loss)
             body = c * self.body(si, light, c, along, active) * passed
             masked = dr.minimum(1 / r, 2 * dr.maximum(along, 0) * dr.minimum(c / r, 1) / q)
             gloss = self.lobes(si, normal, half, region, active) * self.fresnel(q, index) * masked

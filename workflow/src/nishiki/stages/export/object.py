@@ -23,7 +23,7 @@ from nishiki.formats.textured_surface import TexturedMesh, faces, heading, sampl
 from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.optional_formats.kintsugi import write_kintsugi
-from nishiki.render.display import developed, normals_as_colours, three_channels
+from nishiki.render.display import develop, normals_as_colours, three_channels
 from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.renderer import ObjectRenderer, coverage
 from nishiki.render.object.shots import ObjectPicture
@@ -87,7 +87,7 @@ def layers(
     pictures = {}
     for name, picture in (("view", shown), ("model", modelled)):
         share = np.where(picture.reached, coverage(renderer.mesh, camera), 0).astype(np.float32)
-        pictures[name] = developed(three_channels(picture.linear) * share[..., None], share).pixels
+        pictures[name] = develop(three_channels(picture.linear) * share[..., None], share).pixels
     normals = normals_as_colours(renderer.normals(shown, camera)) // 257
     pictures["normals"] = np.where(shown.covered[..., None], normals, 0).astype(np.uint8)
     return pictures

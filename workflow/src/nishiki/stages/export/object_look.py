@@ -21,7 +21,7 @@ from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.brdf.texels.model import POINT, ViewLamp, factors, predict
 from nishiki.colour.colour import decode, encode, srgb_encode
 from nishiki.evaluate.object_photographs import Photographs
-from nishiki.formats.textured_surface import INDEX, NORMAL_REFLECTANCE, SurfaceLook, TexturedMesh, coded, sample
+from nishiki.formats.textured_surface import INDEX, NORMAL_REFLECTANCE, SurfaceLook, TexturedMesh, quantise, sample
 from nishiki.geometry.visibility import rasterise
 from nishiki.render.display import three_channels
 from nishiki.render.object.decoded_object import DecodedObject
@@ -108,7 +108,7 @@ class ObjectLook:
         """Convert the look to the terms of USD and MaterialX."""
         return SurfaceLook(self.colour, self.roughness, self.normal_reflectance, weight=self.specular)
 
-    def of_one_strength(self) -> "ObjectLook":
+    def with_mean_strength(self) -> "ObjectLook":
         """Return the look with the mean strength everywhere, the only choice in USD.
 
         Roughness keeps the height of each texel's highlight, w F0 / (4 alpha^2): a weaker gloss is a wider one.
@@ -138,8 +138,8 @@ def object_look(context: Context) -> ObjectLook:
     scale = max(float(np.percentile(albedo.max(axis=-1), 99.5)), 1.0)
     albedo, reflectance = albedo / scale, reflectance / scale
     factor = max(float(np.percentile(reflectance, 99.5)) / NORMAL_REFLECTANCE, 1.0)
-    colour, roughness = coded(srgb_encode(albedo)), coded(np.sqrt(alpha))
-    specular = coded(np.clip(reflectance / NORMAL_REFLECTANCE / factor, 0, 1))
+    colour, roughness = quantise(srgb_encode(albedo)), quantise(np.sqrt(alpha))
+    specular = quantise(np.clip(reflectance / NORMAL_REFLECTANCE / factor, 0, 1))
     clipped = float(np.mean((albedo > 1).any(axis=-1)))
     return ObjectLook(decoded, layout, colour, roughness, specular, factor, scale, clipped)
 
@@ -278,13 +278,13 @@ Shown = Callable[[SeenPoints], np.ndarray]
 """Function to the linear values (n, 3) that a program displays at visible points."""
 
 
-def shown_in(look: ObjectLook, name: str) -> Shown:
+def show_in(look: ObjectLook, name: str) -> Shown:
     """Render a viewer's picture of `gltf`, `usd` or `materialx`, light and view without cast shadows."""
-    said = look.of_one_strength() if name == "usd" else look
+    said = look.with_mean_strength() if name == "usd" else look
     alpha, strength = (said.roughness / 255) ** 2, said.specular / 255
     stored = np.concatenate([decode(look.colour / 255, "srgb"), alpha[..., None], strength[..., None]], axis=-1)
 
-    def shown(points: SeenPoints) -> np.ndarray:
+    def draw(points: SeenPoints) -> np.ndarray:
         texels = sample(stored, points.places)
         irradiance, strength = points.factors()
         cos_phi, cos_i, cos_r, cos_q = points.cosines()
@@ -294,7 +294,7 @@ def shown_in(look: ObjectLook, name: str) -> Shown:
         gloss = np.pi * reflected * isotropic_lobe(cos_phi, cos_i, cos_r, texels[:, 3]) * cos_i * strength
         return look.scale * ((1 - reflected[:, None]) * texels[:, :3] * irradiance + gloss[:, None])
 
-    return shown
+    return draw
 
 
 def against_photographs(
@@ -354,7 +354,7 @@ class ObjectSurface(ExportedSurface):
 
     def look_of(self, name: str) -> SurfaceLook:
         """Return textures and material in a format's terms; the gloss has one strength in USD."""
-        return (self.look.of_one_strength() if name == "usd" else self.look).surface()
+        return (self.look.with_mean_strength() if name == "usd" else self.look).surface()
 
     @property
     def gltf_look(self) -> GltfLook:
@@ -368,4 +368,4 @@ class ObjectSurface(ExportedSurface):
 
     def errors(self, formats: list[str]) -> dict[str, dict]:
         """Compute the PSNR of the stored textures against photographs, in each format."""
-        return self.compare({name: shown_in(self.look, name) for name in formats})
+        return self.compare({name: show_in(self.look, name) for name in formats})

@@ -131,14 +131,14 @@ def write_normals(context: Context, scene: ExportedScene) -> dict:
             path("exports/normals.tif"),
             bands(exr),
             (*scene.shape, 3),
-            description=f"{convention} {stamped(context)}",
+            description=f"{convention} {format_stamp(context)}",
             software=software(context),
             pitch_mm=scene.pitch_mm,
         )
     return {"largest_deg": largest, "rms_deg": (squares / count) ** 0.5 if count else 0.0}
 
 
-def stamped(context: Context) -> str:
+def format_stamp(context: Context) -> str:
     """Format the stamp of an artifact in words."""
     return "; ".join(f"nishiki.{name}={text}" for name, text in context.stamp.items())
 
@@ -152,7 +152,7 @@ def write_height(context: Context, scene: ExportedScene) -> dict:
     path = context.output.path
     description = (
         f"Height in {scene.unit}, towards the camera; NaN: none. Integrated from normals: parts that do not touch have "
-        f"each its own zero. {stamped(context)}"
+        f"each its own zero. {format_stamp(context)}"
     )
     write_tiff(
         path("exports/height.tif"),
@@ -207,14 +207,14 @@ def write_albedo(context: Context, scene: ExportedScene) -> dict:
     matrix = np.linalg.inv(ROMM.to_xyz()) @ matrix
     description = (
         f"Diffuse colour of the surface under D50, relative to a perfect white diffuser, without shading and gloss; "
-        f"0, 0, 0 where there is no estimate. {ROMM.name}, from {how}. {stamped(context)}"
+        f"0, 0, 0 where there is no estimate. {ROMM.name}, from {how}. {format_stamp(context)}"
     )
     clipped = count = 0
 
     def bands() -> Iterator[np.ndarray]:
         nonlocal clipped, count
         for rows in scene.bands():
-            known = scene.known(rows)[..., None]
+            known = scene.read_known(rows)[..., None]
             linear = np.where(known, np.nan_to_num(scene.coefficients(rows)) @ matrix.T, 0)
             clipped += int(np.count_nonzero((linear < 0) | (linear > 1)))
             count += 3 * int(np.count_nonzero(known))
@@ -260,12 +260,12 @@ def write_spectral(context: Context, scene: ExportedScene) -> dict:
             path("exports/spectra.img"),
             scene.shape,
             WAVELENGTHS_NM,
-            description=f"Reflectance relative to a perfect white diffuser, 0: no estimate. {stamped(context)}",
+            description=f"Reflectance relative to a perfect white diffuser, 0: no estimate. {format_stamp(context)}",
             pitch_mm=scene.pitch_mm,
         ) as envi,
     ):
         for rows in strips(scene.shape[0], SPECTRAL_ROWS):
-            known = scene.known(rows)[..., None]
+            known = scene.read_known(rows)[..., None]
             coefficients = np.where(known, np.nan_to_num(scene.coefficients(rows)), 0)
             spectra = (coefficients @ basis).astype(np.float32)
             exr.write(np.concatenate([spectra, coefficients @ to_rgb], axis=-1))

@@ -55,7 +55,7 @@ class CodedErrors:
         self._counts[number] += 3 * np.count_nonzero(valid)
 
     @classmethod
-    def of_strip(cls, shown: np.ndarray, values: np.ndarray, valid: np.ndarray) -> "CodedErrors":
+    def compare_strip(cls, shown: np.ndarray, values: np.ndarray, valid: np.ndarray) -> "CodedErrors":
         """Compare pixels (lights, 3, n) under all lights where valid (lights, n); `shown` is overwritten."""
         errors = cls(len(values))
         np.clip(shown, 0, 1, out=shown)

@@ -30,7 +30,7 @@ from nishiki.stages.export.light_models import (
     TabulatedModel,
 )
 from nishiki.stages.export.registry import CodedErrors
-from nishiki.stages.export.scene import ExportedScene, GridPictures, Photographs
+from nishiki.stages.export.scene import CodedPhotographs, ExportedScene, GridPictures
 from nishiki.threads import in_threads, over_items
 
 PTM = "painting.ptm"
@@ -52,7 +52,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
     settings = context.settings.relight
     hold_out = context.settings.hold_out
     fitted = frames.fit_lights(hold_out)
-    photographs = Photographs(frames, scene)
+    photographs = CodedPhotographs(frames, scene)
     samples: dict[type, tuple[np.ndarray, np.ndarray]] = {}
     kinds = {}
     for kind in settings.kinds:
@@ -65,7 +65,7 @@ def write(context: Context, scene: ExportedScene) -> dict:
         stored = StoredModel.of(model, frames.directions[fitted], *chosen)
         with tempfile.TemporaryDirectory(dir=context.output.folder) as scratch:
             stored.write(folder, Path(scratch), seen, fitted, context)
-        errors = {kind: stored.errors(stored.decoded(folder, frames), photographs, hold_out)}
+        errors = {kind: stored.errors(stored.decode_rows(folder, frames), photographs, hold_out)}
         if kind == "ptm" and settings.single_file:
             exact = StoredModel(model, np.full(model.planes, 255.0), np.zeros(model.planes))
             coefficients = read_ptm(folder / PTM)
@@ -124,7 +124,7 @@ class StoredModel:
         return np.float32(offsets)[:, None], np.float32(weights * self.scale / 255)
 
     def write(
-        self, folder: Path, scratch: Path, photographs: Photographs, lights: np.ndarray, context: Context
+        self, folder: Path, scratch: Path, photographs: CodedPhotographs, lights: np.ndarray, context: Context
     ) -> None:
         """Write info.json and the planes, three to a picture."""
         frames, settings = photographs.frames, context.settings.relight
@@ -179,7 +179,7 @@ class StoredModel:
             content["basis"] = basis.ravel().tolist()
         return content
 
-    def decoded(self, folder: Path, frames: Observations) -> Iterator[DecodedRows]:
+    def decode_rows(self, folder: Path, frames: Observations) -> Iterator[DecodedRows]:
         """Yield some rows at a time, at most a band, of the files."""
         names = [f"plane_{number}" for number in range(self.model.planes // 3)]
         if self.layout == "image":
@@ -194,7 +194,7 @@ class StoredModel:
                 yield slice(top, top + codes.shape[1]), codes
 
     def errors(
-        self, decoded: Iterator[DecodedRows], photographs: Photographs, hold_out: Collection[str]
+        self, decoded: Iterator[DecodedRows], photographs: CodedPhotographs, hold_out: Collection[str]
     ) -> dict[str, dict[str, float]]:
         """Compute the PSNR of viewers' pictures from decoded codes against the coded photographs, by group of lights.
 
@@ -212,7 +212,7 @@ class StoredModel:
             for strip, values, valid in photographs.strips(rows, lights):
                 here = codes[:, strip.start - rows.start : strip.stop - rows.start]
                 shown = weights @ here.reshape(len(codes), -1).astype(np.float32) + offset
-                found.append(CodedErrors.of_strip(shown.reshape(values.shape), values, valid))
+                found.append(CodedErrors.compare_strip(shown.reshape(values.shape), values, valid))
             return found
 
         errors = CodedErrors(len(lights))

@@ -53,12 +53,12 @@ class ExportedScene(PaintingMaps):
 
     def srgb(self, rows: slice) -> np.ndarray:
         """Compute (r, columns, 3) diffuse colour in linear sRGB; 0 where there is no estimate."""
-        return np.where(self.known(rows)[..., None], np.nan_to_num(self.coefficients(rows)) @ self.to_srgb().T, 0)
+        return np.where(self.read_known(rows)[..., None], np.nan_to_num(self.coefficients(rows)) @ self.to_srgb().T, 0)
 
     def body_terms(self, rows: slice) -> np.ndarray:
         """Return (r, columns, 3) terms a, b, d of the body shading, (1, 0, 0) for Lambert's law."""
         terms = self.shading(rows)
-        return np.full((*self.known(rows).shape, 3), [1, 0, 0], np.float32) if terms is None else terms[..., :3]
+        return np.full((*self.read_known(rows).shape, 3), [1, 0, 0], np.float32) if terms is None else terms[..., :3]
 
     def to_xyz_d50(self) -> tuple[np.ndarray, str]:
         """Compute (3, K) from coefficients to XYZ under D50, white (0.9642, 1, 0.8249); return its source in words."""
@@ -169,7 +169,7 @@ def _with_edges(values: np.ndarray, edges: tuple[int, int]) -> np.ndarray:
 CODED_STEPS = 65535  # of the table of coded values: at most .0001 off the curve
 
 
-class Photographs:
+class CodedPhotographs:
     """The photographs as sRGB-coded colours relative to a white that faces the lamp."""
 
     pixels: int | None = None
@@ -181,7 +181,7 @@ class Photographs:
         self.matrix = np.float32(CODED_STEPS * xyz_to_srgb_linear(colour.matrix.T, white=colour.white).T)
         self.table = np.float32(encode(np.arange(CODED_STEPS + 1) / CODED_STEPS, "srgb"))
 
-    def coded(self, observations: np.ndarray) -> np.ndarray:
+    def code(self, observations: np.ndarray) -> np.ndarray:
         """Code observations (pictures, pixels, channels) as sRGB: (pictures, 3, pixels) float32, 0 to 1."""
         from nishiki.colour.kernels import code_pixels
 
@@ -200,13 +200,13 @@ class Photographs:
                 here, known = (
                     each[:, top : top + step].reshape(len(lights), -1, *each.shape[3:]) for each in (values, valid)
                 )
-                yield part, *self.seen(model, pixels, self.coded(here), known)
+                yield part, *self.render_fit(model, pixels, self.code(here), known)
 
     def fitted_model(self, band: slice) -> Any:
         """Return the data that `seen` requires of a band besides its photographs."""
         return None
 
-    def seen(
+    def render_fit(
         self, model: Any, pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the fitted values of some pixels of a band; values (lights, 3, n), validity of the photographs."""
@@ -225,11 +225,11 @@ class Photographs:
             rows = np.flatnonzero(chosen[band].any(axis=1))
             if len(rows):
                 codes, _ = self.frames.codes(band, lights=lights)
-                read = ((row, self.frames.decoded(codes[:, row : row + 1], lights, band.start + row)) for row in rows)
+                read = ((row, self.frames.decode(codes[:, row : row + 1], lights, band.start + row)) for row in rows)
                 pieces = [[each[:, 0, chosen[band.start + row]] for each in arrays] for row, arrays in read]
                 each, usable = (np.concatenate(arrays, axis=1) for arrays in zip(*pieces, strict=True))
                 here = np.flatnonzero(chosen[band])
-                found.append(self.seen(self.fitted_model(band), here, self.coded(each), usable))
+                found.append(self.render_fit(self.fitted_model(band), here, self.code(each), usable))
         values, valid = (np.concatenate(arrays, axis=-1) for arrays in zip(*found, strict=True))
         return values, valid
 
@@ -240,7 +240,7 @@ LOWEST_Z = 0.1  # before normalising, of the lights that the model draws: 6 degr
 BEYOND = 0.5  # below 0 and above 1 that values at nodes may be
 
 
-class GridPictures(Photographs):
+class GridPictures(CodedPhotographs):
     """Pictures under the lights of a grid.
 
         x0 = m_G + W (p - m_L),    x = x0 + (A'A + s I)^-1 A' (p - A x0)
@@ -273,20 +273,20 @@ class GridPictures(Photographs):
         """Return the maps of the fitted model at the pixels (1, n) of a band, and (n,) bool where they are known."""
         model = self._scene.model(band)
         flat = each_map(model, lambda values: values.reshape(1, -1, *values.shape[2:]))
-        return flat, self._scene.known(band).ravel()
+        return flat, self._scene.read_known(band).ravel()
 
-    def seen(
+    def render_fit(
         self, model: tuple[PlaneMaps, np.ndarray], pixels: slice | np.ndarray, values: np.ndarray, valid: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return (nodes, 3, n) values and (nodes, n) bool of some pixels, known or photographed under every light."""
-        drawn = self.drawn(model[0], pixels)
+        drawn = self.render_model(model[0], pixels)
         rest = (values - drawn[: len(values)]) * valid[:, None]
         both = np.concatenate([drawn, rest]).reshape(self._of_both.shape[1], -1)
         nodes = (self._of_both @ both).reshape(-1, *drawn.shape[1:])
         known = model[1][pixels] | valid.all(axis=0)
         return np.clip(nodes, -BEYOND, 1 + BEYOND, out=nodes), np.broadcast_to(known, (len(nodes), len(known)))
 
-    def drawn(self, model: PlaneMaps, pixels: slice | np.ndarray) -> np.ndarray:
+    def render_model(self, model: PlaneMaps, pixels: slice | np.ndarray) -> np.ndarray:
         """Render (captured lights and nodes, 3, n) of the fitted model."""
         seen = predict_observations(each_map(model, lambda values: values[:, pixels]), self._lamps)
-        return np.concatenate([self.coded(each.values) for each in seen])
+        return np.concatenate([self.code(each.values) for each in seen])

@@ -6,7 +6,7 @@ from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.artifacts.stage import Context
 from nishiki.photometric.expected_error import REACH, UNKNOWN, expected_error
 from nishiki.photometric.flags import NO_ESTIMATE
-from nishiki.photometric.height import Sample, band_rows, flatten_normals, integrate_bands
+from nishiki.photometric.height import HeightSample, band_rows, flatten_normals, integrate_bands
 from nishiki.photometric.multigrid import windows
 from nishiki.stages.height import OUTPUTS
 
@@ -23,12 +23,12 @@ def run(context: Context) -> dict:
     def read(rows: slice) -> tuple[np.ndarray, np.ndarray]:
         return maps.read("normals", rows), (maps.read("flags", rows) & NO_ESTIMATE) == 0
 
-    of_relief, turned = read, 0.0
+    read_relief, turned = read, 0.0
     if context.settings.flatten:
         flat = out.create("normals", (3,))
         turned = flatten_normals(shape, read, flat.__setitem__)
 
-        def of_relief(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        def read_relief(rows: slice) -> tuple[np.ndarray, np.ndarray]:
             return flat[rows], read(rows)[1]
 
     height = out.create(
@@ -36,14 +36,14 @@ def run(context: Context) -> dict:
     )
     diagnostics = integrate_bands(
         shape,
-        of_relief,
+        read_relief,
         lambda rows, values, valid: height.__setitem__(rows, values),
         pixel_pitch=pitch or 1.0,
         method=context.settings.method,
         folder=context.output.folder,
     )
     errors = out.create("expected_error")
-    sample = Sample(diagnostics["valid_pixels"], SAMPLED)
+    sample = HeightSample(diagnostics["valid_pixels"], SAMPLED)
     for band in windows(shape[0], step, REACH):
         (normals, valid), sigma = read(band.read), maps.read("sigma", band.read)
         if "correction_sigma" in maps:

@@ -11,12 +11,12 @@ from nishiki.formats.problems import raise_errors
 from nishiki.geometry.camera import Camera, read_cameras
 from nishiki.geometry.cleaning import clean
 from nishiki.geometry.coherence import measure_coherence
-from nishiki.geometry.hollows import Photographed, sink_hollows
+from nishiki.geometry.hollows import ShadingPhotographs, sink_hollows
 from nishiki.geometry.hull import carve, usual_misses
 from nishiki.geometry.mesh import Mesh, read_points, read_triangles, write_ply
-from nishiki.geometry.placement import agreement, move_mesh, outline_of, overruled
+from nishiki.geometry.placement import agreement, find_overruled, move_mesh, outline_of
 from nishiki.geometry.silhouettes import display, segment
-from nishiki.geometry.surface import fewest_triangles, shape_of, smoothed, snapped, without_small_parts
+from nishiki.geometry.surface import fewest_triangles, shape_of, smooth_outline_steps, snap, without_small_parts
 from nishiki.observations.turntable_coherence import FEWEST_VIEWS, describe_coherence
 from nishiki.observations.views import Views
 from nishiki.render.display import write_png
@@ -45,7 +45,7 @@ def run(context: Context) -> dict:
         masks, overruling = overrule(context, views, cameras, outlines, darks, used)
         given, background = len(masks) - len(facts), background_of(context, views)
         diagnostics["silhouettes"] = {"given": given, "background": background, **overruling, "views": facts}
-        hull = carve(kept(masks, used), cameras, cells=settings.cells)
+        hull = carve(keep_usable(masks, used), cameras, cells=settings.cells)
         mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
         diagnostics["hull"] = {"cell": hull.cell, "shape": hull.shape, "box": hull.box.tolist()}
     else:
@@ -54,13 +54,13 @@ def run(context: Context) -> dict:
         mesh, defects = sound(vertices, triangles, cameras)
     mesh, small = without_small_parts(mesh)
     if source == "silhouettes" and settings.smooth:
-        mesh = smoothed(mesh, cameras, most_px=settings.smooth)
+        mesh = smooth_outline_steps(mesh, cameras, most_px=settings.smooth)
     if source == "silhouettes" and settings.concavities:
         context.progress.tell("hollows")
-        mesh, diagnostics["concavities"] = without_hollows(context, views, cameras, mesh, kept(masks, used))
+        mesh, diagnostics["concavities"] = without_hollows(context, views, cameras, mesh, keep_usable(masks, used))
     light = fewest_triangles(mesh, cameras, deviation_px=settings.deviation_px, most=settings.most_triangles)
     step = grid_step(light.mesh, cameras)  # the coarsest grid that moves no vertex visibly
-    mesh = snapped(light.mesh, step)
+    mesh = snap(light.mesh, step)
     if source == "silhouettes":
         masks = [
             outline | (mask & outline_of(mesh, camera))
@@ -90,7 +90,7 @@ def source_of(source: str, views: Views) -> str:
     return source
 
 
-def kept(masks: list, used: list[bool]) -> list:
+def keep_usable(masks: list, used: list[bool]) -> list:
     """Return masks of the usable views, None for the others."""
     return [mask if use else None for mask, use in zip(masks, used, strict=True)]
 
@@ -136,7 +136,7 @@ def expect_coherence(context: Context, views: Views, cameras: list[Camera], outl
 def overrule(
     context: Context, views: Views, cameras: list[Camera], masks: list[np.ndarray], darks: list, used: list[bool]
 ) -> tuple[list[np.ndarray], dict]:
-    """Extend masks by the hull of the other views, and return figures of the change; darks: see `overruled`.
+    """Extend masks by the hull of the other views, and return figures of the change; darks: see `find_overruled`.
 
     Given masks stay as they are unless the setting `misses` is a number.
     """
@@ -144,11 +144,11 @@ def overrule(
     misses = usual_misses(sum(used)) if settings.misses is None else settings.misses
     if not misses or sum(used) < misses + 2:
         return out, {}
-    hull = carve(kept(masks, used), cameras, cells=COARSE_CELLS, misses=misses)
+    hull = carve(keep_usable(masks, used), cameras, cells=COARSE_CELLS, misses=misses)
     loose, _ = without_small_parts(hull.mesh)
     for place, name in enumerate(views.views):
         if settings.misses is not None or views.silhouette(name) is None:
-            more = overruled(loose, cameras[place], masks[place], darks[place], hull.cell)
+            more = find_overruled(loose, cameras[place], masks[place], darks[place], hull.cell)
             out[place], shares[name] = masks[place] | more, float(more.sum() / max(1, masks[place].sum()))
     mean = float(np.mean(list(shares.values()))) if shares else 0.0
     return out, {"overruled": {"misses": misses, "genus": shape_of(loose).genus, "mean": mean, "share": shares}}
@@ -162,9 +162,9 @@ def without_hollows(
     hull = carve(masks, cameras, cells=HOLLOW_CELLS)
     coarse, _ = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
     coarse, _ = without_small_parts(coarse)
-    coarse = smoothed(coarse, cameras, most_px=max(1.0, context.settings.smooth))
+    coarse = smooth_outline_steps(coarse, cameras, most_px=max(1.0, context.settings.smooth))
     pictures = (views.mean_light(place) for place in used)
-    photographed = Photographed.of(
+    photographed = ShadingPhotographs.of(
         pictures, [mask for mask in masks if mask is not None], [cameras[place] for place in used]
     )
     return sink_hollows(mesh, coarse, photographed)
@@ -175,10 +175,10 @@ def read_file(context: Context, views: Views, cameras: list[Camera], mirror: lis
     vertices, triangles = read_triangles(context.inputs["ingest"].path(views.geometry["mesh"]))
     if "mesh_placement" in views.attributes:
         vertices, triangles = move_mesh(vertices, triangles, *views.attributes["mesh_placement"])
-    return (*mirrored(vertices, triangles, mirror), {"vertices": len(vertices), "triangles": len(triangles)})
+    return (*undo_mirror(vertices, triangles, mirror), {"vertices": len(vertices), "triangles": len(triangles)})
 
 
-def mirrored(vertices: np.ndarray, triangles: np.ndarray, mirror: list[int] | None) -> tuple[np.ndarray, np.ndarray]:
+def undo_mirror(vertices: np.ndarray, triangles: np.ndarray, mirror: list[int] | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the same surface in the unmirrored world of the cameras stage; triangles keep facing outwards."""
     if mirror is None:
         return vertices, triangles
@@ -194,7 +194,7 @@ def merge_scans(context: Context, views: Views, cameras: list[Camera], mirror: l
     registered = register([points for points, _ in scans], overlap=settings.overlap)
     moved = [motion.apply(points) for motion, (points, _) in zip(registered.motions, scans, strict=True)]
     vertices, triangles, facts = merge(moved, [faces for _, faces in scans])
-    return (*mirrored(vertices, triangles, mirror), {**registered.as_dict(), **facts})
+    return (*undo_mirror(vertices, triangles, mirror), {**registered.as_dict(), **facts})
 
 
 def sound(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]):
@@ -255,12 +255,12 @@ def preview(views: Views, cameras: list[Camera], mesh: Mesh) -> np.ndarray:
     """Return (rows, columns, 3) uint8: photograph and shaded mesh in two views a quarter apart, side by side."""
     import cv2
 
-    from nishiki.geometry.placement import shaded
+    from nishiki.geometry.placement import shade_from_camera
 
     columns = []
     for place in sorted({0, len(cameras) // 4}):
         photograph = display(views.mean_light(place))
-        columns.append(np.vstack([photograph, shaded(mesh, cameras[place])[..., None].repeat(3, axis=-1)]))
+        columns.append(np.vstack([photograph, shade_from_camera(mesh, cameras[place])[..., None].repeat(3, axis=-1)]))
     sheet = np.hstack(columns)
     shrink = min(1.0, 2 * PREVIEW_ROWS / sheet.shape[0])
     size = (round(sheet.shape[1] * shrink), round(sheet.shape[0] * shrink))

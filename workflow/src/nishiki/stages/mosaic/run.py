@@ -16,7 +16,7 @@ from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.formats.files import read_json
 from nishiki.formats.stored import BandedArray, BandedGroup
 from nishiki.model_selection.decision import economy
-from nishiki.mosaic.adjustment import Placement, adjust
+from nishiki.mosaic.adjustment import FieldPlacement, adjust
 from nishiki.mosaic.blending import Levels, Samples, blend_band, compare_fields, level_fields
 from nishiki.mosaic.registration import Field, register_fields, signals
 from nishiki.observations.plane import STORE, Observations
@@ -168,7 +168,7 @@ def measure_seams(
 
 
 def write_maps(
-    context: Context, fields: list[FieldMaps], placement: Placement, levels: Levels, *, several: bool
+    context: Context, fields: list[FieldMaps], placement: FieldPlacement, levels: Levels, *, several: bool
 ) -> tuple[dict, list[str]]:
     """Blend band by band into the maps of the mosaic, and write its mask as ingested frames without a light.
 
@@ -212,7 +212,7 @@ def write_maps(
     return {**counts, "sigma_median_deg": float(np.degrees(np.median(sigma))) if sigma.size else None}, notes
 
 
-def describe(placement: Placement, adjusted: dict, levels: Levels, seams: dict) -> dict:
+def describe(placement: FieldPlacement, adjusted: dict, levels: Levels, seams: dict) -> dict:
     """Return the mosaic's data for the page, places in pixels (column, row)."""
     fields = {}
     for i, field in enumerate(placement.fields):

@@ -20,7 +20,7 @@ from nishiki.stages.normals.parcel import fit_finishes, relit, solve
 
 if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile
-    from nishiki.model_selection.relighting import Sampled
+    from nishiki.model_selection.relighting import RelightingSample
     from nishiki.photometric.gloss import GlossTile
     from nishiki.photometric.gloss_scene import SceneGloss
 
@@ -54,7 +54,7 @@ class Finish:
         name = "joint" if self.joint else model
         return float((self.error(f"{name}, matt") - self.error(name)).mean()) if name in self.errors else None
 
-    def described(self, model: str | None) -> dict:
+    def describe(self, model: str | None) -> dict:
         """Return plain numbers for the diagnostics; model: of relighting."""
         gloss = {} if self.gloss is None else {**self.gloss.described, **self.profile.described}
         means = {name: float(f"{self.error(name).mean():.4g}") for name in self.errors}
@@ -79,7 +79,7 @@ class Finishes:
     @property
     def described(self) -> dict:
         """Plain numbers for the diagnostics; the gloss of the widest finish stands at the top too."""
-        parts = [part.described(self.model) for part in self.parts]
+        parts = [part.describe(self.model) for part in self.parts]
         top = {name: value for name, value in max(parts, key=lambda part: part["share"]).items() if "gloss" in name}
         bounds = [bound for part in parts for bound in part.get("at_bounds", [])]
         refined = any(part.joint for part in self.parts)
@@ -94,7 +94,7 @@ def choose_finishes(
     Captured lamps that are left out in turn decide how many there are, how normals are fitted on each, and which model
     predicts lamps, where the settings leave it open. Regions of the capture are finishes without a question.
     """
-    from nishiki.model_selection.relighting import FEWEST, choose_model, interpolated
+    from nishiki.model_selection.relighting import FEWEST, choose_model, select_surrounded
 
     models = () if settings.solver == "least_squares" else MODELS
     looked_for = settings.refine == "gloss" or (settings.refine == "auto" and len(lights) <= FEW_LIGHTS)
@@ -106,9 +106,9 @@ def choose_finishes(
     step = max(1, sum(piece.valid.shape[2] for piece in pieces) // RELIGHTING_PIXELS)
     few = [piece.only(np.s_[::step]) for piece in pieces] if told else []
 
-    inside = interpolated(frames.directions[lights])
+    inside = select_surrounded(frames.directions[lights])
 
-    def fitted(
+    def fit(
         glosses: Sequence[SceneGloss | None], labels: np.ndarray, clear: np.ndarray | bool = True
     ) -> tuple[Finish, ...]:
         given = few, settings, models, inside, clear
@@ -121,13 +121,13 @@ def choose_finishes(
         tiles = gloss_tiles(pieces, settings)
         labels = one if frames.regions is None else np.arange(1 + int(frames.regions.max()))
         glosses = fit_glosses(tiles, labels, settings.refractive_index)
-        tried = [fitted(glosses, labels)]
+        tried = [fit(glosses, labels)]
         for found in find_finishes(tiles, glosses[0].found) if told and frames.regions is None else ():
-            tried.append(fitted(*found))
+            tried.append(fit(*found))
             if predicted_error(tried[-1]) >= predicted_error(tried[-2]):
                 break
     else:
-        tried = [fitted([None], one)]
+        tried = [fit([None], one)]
     parts, decision = choose_count(tried)
     if settings.refine == "gloss":
         parts = tuple(replace(each, joint=each.gloss is not None) for each in parts)
@@ -146,7 +146,7 @@ def choose_finishes(
 def fitted_finish(
     member: np.ndarray,
     gloss: SceneGloss | None,
-    pieces: Sequence[Sampled],
+    pieces: Sequence[RelightingSample],
     settings: NormalsSettings,
     models: Sequence[str],
     inside: np.ndarray,
@@ -157,24 +157,24 @@ def fitted_finish(
     member (cells,) bool: its cells; inside (lights,) bool: lamps that the others surround; clear (cells,) bool, or all.
     """
     from nishiki.brdf.gloss_profile import GlossProfile
-    from nishiki.model_selection.relighting import Fitted, joint_fit_counts, left_out_errors
+    from nishiki.model_selection.relighting import CandidateFit, joint_fit_counts, left_out_errors
 
     joint = {} if gloss is None else {"joint": gloss.found, "first": gloss.first, "bare": gloss.found.bare()}
 
-    def fit(piece: Sampled) -> dict[str, Fitted]:
+    def fit(piece: RelightingSample) -> dict[str, CandidateFit]:
         given = piece.observations, piece.usable, piece.valid, piece.parcel
         maps = solve(*given, settings)
-        fits = {"normals": Fitted(maps)}
+        fits = {"normals": CandidateFit(maps)}
         for name in models:
-            fits[name] = Fitted(maps | relit(piece.observations, piece.valid, piece.parcel, maps, name))
+            fits[name] = CandidateFit(maps | relit(piece.observations, piece.valid, piece.parcel, maps, name))
         for name, profile in joint.items():
             together = {key: np.array(values) for key, values in maps.items()}
             labels = np.zeros(piece.valid.shape[1:], int)
             fit_finishes(together, piece.observations, piece.valid, piece.parcel, settings, [profile], labels)
-            fits[name] = Fitted(together, profile)
+            fits[name] = CandidateFit(together, profile)
         matt = GlossProfile(np.zeros(1), np.ones(1), transmission=0.0)
         for name in models:
-            fits[f"{name}, matt"] = Fitted(fits[name].maps, matt)
+            fits[f"{name}, matt"] = CandidateFit(fits[name].maps, matt)
         if joint:
             fits["joint, matt"] = fits["bare"]
         return fits
@@ -260,7 +260,7 @@ def finish_labels(
         return frames.regions[band]
     from scipy.ndimage import correlate1d
 
-    from nishiki.photometric.gloss_scene import SIDE, refined
+    from nishiki.photometric.gloss_scene import SIDE, refine_tile
 
     reach = SIDE // STRIDE // 2
     rows, columns = frames.shape
@@ -273,7 +273,7 @@ def finish_labels(
         at = (places[0] // STRIDE - first, places[1] // STRIDE)
         values[at] = tile.valid.sum(axis=0)[0]
         for cost, part in zip(costs, finishes.parts, strict=True):
-            cost[at] = refined(tile, part.profile).cost[0] / len(frames.channels)
+            cost[at] = refine_tile(tile, part.profile).cost[0] / len(frames.channels)
     costs = np.minimum(costs, costs.min(axis=0) + CLEAR * values)
     window = np.ones(2 * reach + 1)
     for axis in (0, 1):
@@ -309,9 +309,9 @@ def refitted_error(
 
 def strided_pieces(
     frames: Observations, selection: Maps | None, lights: np.ndarray, rows: slice
-) -> Iterator[tuple[Sampled, tuple[np.ndarray, np.ndarray]]]:
+) -> Iterator[tuple[RelightingSample, tuple[np.ndarray, np.ndarray]]]:
     """Yield every STRIDE-th pixel of the object in some rows, with their (rows, columns) in the picture."""
-    from nishiki.model_selection.relighting import Sampled
+    from nishiki.model_selection.relighting import RelightingSample
 
     for strip, observations, valid in frames.strips(rows, lights=lights):
         usable = valid if selection is None else unpack_lights(selection.read("usable", strip), len(lights))
@@ -324,15 +324,17 @@ def strided_pieces(
                 values, lit, known = (
                     np.ascontiguousarray(array[area][:, chosen][:, None]) for array in (observations, usable, valid)
                 )
-                yield Sampled(values, lit, known, parcel), (row[chosen], column[chosen])
+                yield RelightingSample(values, lit, known, parcel), (row[chosen], column[chosen])
 
 
-def sampled_pixels(frames: Observations, selection: Maps | None, lights: np.ndarray, pixels: int) -> list[Sampled]:
+def sampled_pixels(
+    frames: Observations, selection: Maps | None, lights: np.ndarray, pixels: int
+) -> list[RelightingSample]:
     """Sample about `pixels` pixels of the object by cells, or regions of the capture, the same on every machine."""
-    from nishiki.model_selection.relighting import Sampled
+    from nishiki.model_selection.relighting import RelightingSample
     from nishiki.photometric.gloss_scene import SIDE
 
-    groups: dict[int, list[Sampled]] = {}
+    groups: dict[int, list[RelightingSample]] = {}
     for piece in sample(frames, lights, pixels, channel=None, cell=SIDE):
         usable = piece.valid
         if selection is not None:
@@ -343,15 +345,15 @@ def sampled_pixels(frames: Observations, selection: Maps | None, lights: np.ndar
         cells = squares if frames.regions is None else frames.regions[row, column].astype(np.int64)
         parcel = replace(piece.parcel, scale=np.ones(len(lights), np.float32))  # the piece is scaled
         near = 0 if frames.positions_mm is None else int(squares[0, 0])  # near lamps have parcels of few pixels
-        groups.setdefault(near, []).append(Sampled(piece.observations, usable, piece.valid, parcel, cells))
-    pieces = [joined(same) for same in groups.values()]
+        groups.setdefault(near, []).append(RelightingSample(piece.observations, usable, piece.valid, parcel, cells))
+    pieces = [join_pieces(same) for same in groups.values()]
     if frames.regions is None and pieces:
         known = np.unique(np.concatenate([piece.cells[0] for piece in pieces]))
         pieces = [replace(piece, cells=np.searchsorted(known, piece.cells)) for piece in pieces]
     return pieces
 
 
-def joined(pieces: Sequence[Sampled]) -> Sampled:
+def join_pieces(pieces: Sequence[RelightingSample]) -> RelightingSample:
     """Join pieces, under the means of their directions."""
     arrays = {
         name: np.concatenate([getattr(piece, name) for piece in pieces], axis=axis)
@@ -364,7 +366,7 @@ def joined(pieces: Sequence[Sampled]) -> Sampled:
     return replace(pieces[0], parcel=replace(pieces[0].parcel, directions=directions[0]), **arrays)
 
 
-def gloss_tiles(pieces: Sequence[Sampled], settings: NormalsSettings) -> list[GlossTile]:
+def gloss_tiles(pieces: Sequence[RelightingSample], settings: NormalsSettings) -> list[GlossTile]:
     """Return sampled pixels with their estimates from the selected lights."""
     from nishiki.photometric.gloss import GlossTile
 
@@ -372,6 +374,6 @@ def gloss_tiles(pieces: Sequence[Sampled], settings: NormalsSettings) -> list[Gl
     for piece in pieces:
         maps = solve(piece.observations, piece.usable, piece.valid, piece.parcel, settings)
         start = {name: maps[name] for name in ("normals", "flags", "sigma", "reflectance")}
-        observed = piece.parcel.scaled(piece.observations)
+        observed = piece.parcel.scale_to_centre(piece.observations)
         tiles.append(GlossTile(observed, piece.valid, piece.parcel.directions, cells=piece.cells, **start))
     return tiles

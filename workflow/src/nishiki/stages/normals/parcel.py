@@ -31,7 +31,7 @@ def solve(
     observations: np.ndarray, usable: np.ndarray, valid: np.ndarray, parcel: Parcel, settings: NormalsSettings
 ) -> dict:
     """Solve the maps of one parcel by name, from the selected lights."""
-    observations = parcel.scaled(observations)
+    observations = parcel.scale_to_centre(observations)
     if observations.shape[-1] == 1:
         intensity = observations[..., 0]
     elif settings.solver == "least_squares":  # as published: the mean of the channels
@@ -89,7 +89,7 @@ def fitted_together(maps: dict, observations, valid, parcel: Parcel, settings: N
     return {
         name: fit.flags
         if name == "flags"
-        else np.where(aligned(kept, values), values, lambert[name] if name in lambert else getattr(fit, name))
+        else np.where(align(kept, values), values, lambert[name] if name in lambert else getattr(fit, name))
         for name, values in maps.items()
     }
 
@@ -104,7 +104,7 @@ def fit_finishes(
     labels: np.ndarray,
 ) -> None:
     """Fit the pixels of each finish again together with its gloss, in place; labels (rows, columns): their finishes."""
-    observations = parcel.scaled(observations)
+    observations = parcel.scale_to_centre(observations)
     for number, gloss in enumerate(glosses):
         here = labels == number
         if gloss is not None and here.any():
@@ -131,7 +131,7 @@ def relit(
         return {}
     known = ((maps["flags"] & NO_ESTIMATE) == 0) & ~np.asarray(kept)
     return fit_relighting(
-        parcel.scaled(observations),
+        parcel.scale_to_centre(observations),
         parcel.directions,
         maps["normals"],
         valid=valid & known,
@@ -142,6 +142,6 @@ def relit(
     )
 
 
-def aligned(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
+def align(mask: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Reshape the mask (rows, columns) to as many axes as the map."""
     return mask.reshape(mask.shape + (1,) * (values.ndim - 2))

@@ -28,7 +28,7 @@ from nishiki.stages.normals.finishes import choose_finishes, finish_labels, refi
 from nishiki.stages.normals.parcel import fit_finishes, relit, solve
 
 if TYPE_CHECKING:
-    from nishiki.photometric.interreflection import Facets
+    from nishiki.photometric.interreflection import FacetGrid
 
 SIDE = 64  # facets along the longer side of the picture; the decision is made on half as many
 COUNTS = 0.01  # share of the light, exceeded on a tenth of the object, from which it is looked at
@@ -71,7 +71,7 @@ def find_thrown_light(
     found = find_interreflection(few)
     brightest = np.quantile(found.reflectance[found.known], BRIGHT) if found.known.any() else 1.0
     scales = np.ones(1) if frames.white_board else SCALES / max(brightest, np.finfo(float).tiny)
-    found = find_interreflection(few.scaled(scales[-1]))
+    found = find_interreflection(few.scale(scales[-1]))
     received = found.shares.sum(axis=0).mean(axis=-1)[found.known]
     share = float(np.quantile(received, 0.9)) if received.size else 0.0
     words = "share of the light, exceeded on a tenth of the object, that other places of it throw"
@@ -81,7 +81,7 @@ def find_thrown_light(
         return None, kept
     without, best, most = left_out_errors(few, None, FOLDS), 0.0, 0.0
     for scale in scales:
-        brighter = few.scaled(scale)
+        brighter = few.scale(scale)
         gains = without - left_out_errors(brighter, find_interreflection(brighter), FOLDS) / scale
         if not gains.mean() > most:
             break
@@ -89,7 +89,7 @@ def find_thrown_light(
         best = scale if most > ERRORS * gains.std(ddof=1) / np.sqrt(gains.size) else 0.0
     if not best:
         return None, kept
-    shares = find_interreflection(facets.scaled(best)).shares.astype(np.float32).transpose(1, 2, 0, 3)
+    shares = find_interreflection(facets.scale(best)).shares.astype(np.float32).transpose(1, 2, 0, 3)
     rows, columns = (np.append(np.arange(0, size, step), size) for size in frames.shape)
     override = "normals.interreflection: none"
     made = Decision("interreflection", "taken off", words, share, COUNTS, "nothing", override)
@@ -101,9 +101,9 @@ def facet_of(frames: Observations) -> int:
     return max(1, -(-max(frames.shape) // SIDE))
 
 
-def read_facets(frames: Observations, lights: np.ndarray, step: int, settings: NormalsSettings) -> Facets:
+def read_facets(frames: Observations, lights: np.ndarray, step: int, settings: NormalsSettings) -> FacetGrid:
     """Read the middle row of squares of `step` pixels; a facet is valid where half of these pixels are."""
-    from nishiki.photometric.interreflection import Facets
+    from nishiki.photometric.interreflection import FacetGrid
 
     rows, columns = (-(-size // step) for size in frames.shape)
     sums = np.zeros((len(lights), rows, columns, len(frames.channels)))
@@ -113,7 +113,7 @@ def read_facets(frames: Observations, lights: np.ndarray, step: int, settings: N
         codes, first = frames.codes(band, lights=lights)
         for number in np.flatnonzero((middle >= first) & (middle < band.stop)):
             row = int(middle[number])
-            values, known = frames.decoded(codes[:, row - first : row - first + 1], lights, row)
+            values, known = frames.decode(codes[:, row - first : row - first + 1], lights, row)
             sums[:, number] = np.add.reduceat(np.where(known[..., None], values, 0)[:, 0], starts, axis=1)
             counts[:, number] = np.add.reduceat(known[:, 0].astype(int), starts, axis=1)
 
@@ -125,7 +125,7 @@ def read_facets(frames: Observations, lights: np.ndarray, step: int, settings: N
         maps = solve(values, usable, valid, parcel, settings)
         return maps["normals"], ((maps["flags"] & NO_ESTIMATE) == 0) & valid.any(axis=0), usable
 
-    return Facets(sums / np.maximum(counts, 1)[..., None], counts > step / 2, frames.directions[lights], fit)
+    return FacetGrid(sums / np.maximum(counts, 1)[..., None], counts > step / 2, frames.directions[lights], fit)
 
 
 SPACING = 4  # pixels between those whose normals are solved again for their error; divides the rows of a band
@@ -284,7 +284,7 @@ run = TiledStage(map_tiles, merge)
 
 
 if TYPE_CHECKING:
-    from nishiki.photometric.interreflection import Facets
+    from nishiki.photometric.interreflection import FacetGrid
 
 LIKE = 0.5  # correlation with our normals, of the component that agrees less, from which axes are believed
 SHORT = 0.5  # length of a vector below which there is no normal
@@ -332,7 +332,7 @@ def angles(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.arccos(np.clip(np.sum(first * second, axis=-1), -1, 1)).astype(np.float32)
 
 
-def find_given(frames: Observations, facets: Facets, step: int, path: Path) -> tuple[GivenNormals, dict[str, Any]]:
+def find_given(frames: Observations, facets: FacetGrid, step: int, path: Path) -> tuple[GivenNormals, dict[str, Any]]:
     """Read the map named in the settings, find its axes by our own normals of facets, and compare the two.
 
     Lamps left out cannot decide between the two: normals that were fitted to photographs predict them better than the

@@ -93,7 +93,7 @@ def illuminants(settings: RenderSettings) -> set[str]:
     return names | {sequence.illuminant for sequence in settings.sequences}
 
 
-def _pictured(megapixels: float) -> float:
+def _picture_megapixels(megapixels: float) -> float:
     """Return the largest size in megapixels for pictures of a painting."""
     return megapixels if megapixels <= MOST_MEGAPIXELS else MOST_MEGAPIXELS / 2
 
@@ -114,9 +114,9 @@ PAINTING = Stage(
     unused_packages={"av": no_film("render", "sequences")},
     deliverables=("*.png", "*.exr", "*.mp4", "*.webp"),
     cost=lambda facts: Cost(
-        mib=400 + 160 * _pictured(facts.pixels / 1e6),
+        mib=400 + 160 * _picture_megapixels(facts.pixels / 1e6),
         bytes_per_pixel=0.5,
-        seconds=4 + 30 * _pictured(facts.pixels / 1e6),
+        seconds=4 + 30 * _picture_megapixels(facts.pixels / 1e6),
         us_per_pixel=2,
     ),
 )
@@ -190,7 +190,7 @@ COLOUR = r"^#[0-9a-fA-F]{6}$"
 Colour = Annotated[str, Field(pattern=COLOUR)]
 
 
-class MeshSettings(Closed):
+class SurfaceFile(Closed):
     """A surface from a file in place of the shipped cloth."""
 
     file: str = Field(description="PLY or OBJ; y is up")
@@ -244,7 +244,7 @@ class ClothRenderSettings(Guarded, stage="cloth_render", version=2):
 
     region: str = Field("", description="region of the capture whose cloth is shown; empty: the first")
     model: str = Field("", description="model of the cloth_brdf stage; empty: its default")
-    mesh: MeshSettings | None = Field(None, description="a surface from a file instead; null: the draped cloth")
+    mesh: SurfaceFile | None = Field(None, description="a surface from a file instead; null: the draped cloth")
     view: ClothViewSettings = Field(ClothViewSettings(), description="camera of the draped pictures")
     lights: dict[Name, ClothLampSettings] = Field(
         LAMPS, description="lamps by name; a picture under each, and under all"
@@ -268,7 +268,7 @@ class ClothRenderSettings(Guarded, stage="cloth_render", version=2):
     film: ClothFilmSettings | None = Field(None, description="a video; null: none")
 
 
-def with_digest_of_mesh(mesh: MeshSettings | None, stage: str) -> dict:
+def with_digest_of_mesh(mesh: SurfaceFile | None, stage: str) -> dict:
     """Return the settings filled in by the plan: the digest of the file, where the settings state none."""
     if mesh is None or mesh.sha256:
         return {"mesh": mesh}

@@ -9,12 +9,12 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.cloth.models import ClothModels, dyed
+from nishiki.render.cloth.models import ClothModels, apply_dyes
 from nishiki.render.cloth.scene import Brdf, Surface
 from nishiki.render.cloth.studio import ClothPicture, Lighting, Studio, Viewpoint, linear_colour, studio, tubes, turning
 from nishiki.render.cloth.surfaces import from_direction, from_texture, read_drape, read_surface, sheet
-from nishiki.render.display import DisplayImage, developed, exposure_for, write_exr, write_png, write_video
-from nishiki.stages.render import ClothRenderSettings, MeshSettings
+from nishiki.render.display import DisplayImage, develop, exposure_for, write_exr, write_png, write_video
+from nishiki.stages.render import ClothRenderSettings, SurfaceFile
 
 FINEST_SIDE = 193
 """Points along a side of the drawn cloth, 1.5 times as many as the shipped surface has."""
@@ -39,7 +39,7 @@ def draped_cloth(settings: ClothRenderSettings) -> DrapedCloth:
     return DrapedCloth(surface, uv, {"kind": "ball", **_sizes(surface.mesh)})
 
 
-def surface_from_file(wanted: MeshSettings) -> DrapedCloth:
+def surface_from_file(wanted: SurfaceFile) -> DrapedCloth:
     """Return the surface of a file, with its weft. UserError where it cannot be used."""
     read = read_surface(Path(wanted.file), sha256=wanted.sha256, smooth=wanted.smooth)
     mesh, turn, uv = read.mesh, np.radians(wanted.turned_deg), None
@@ -96,7 +96,7 @@ def run(context: Context) -> dict:
     draped = draped_cloth(settings)
     surface, view = draped.surface, settings.view
     stage = in_view(settings, surface, view.rows, view.columns)
-    cloths = dyed(brdf, {name: linear_colour(colour) for name, colour in settings.dyes.items()})
+    cloths = apply_dyes(brdf, {name: linear_colour(colour) for name, colour in settings.dyes.items()})
     takes = {}
     if settings.as_measured:
         takes["drape"] = stage.take(brdf)
@@ -111,7 +111,7 @@ def run(context: Context) -> dict:
         else []
     )
     made = dict(zip(takes, rendered, strict=True))
-    exposure = exposed(settings, [each for name, each in made.items() if not name.startswith("drape-light-")])
+    exposure = choose_exposure(settings, [each for name, each in made.items() if not name.startswith("drape-light-")])
     pictures = {name: save(context, name, picture, exposure) for name, picture in made.items()}
     if settings.swatches:
         context.progress.tell("cylinders")
@@ -128,7 +128,7 @@ def run(context: Context) -> dict:
     }
 
 
-def exposed(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> float:
+def choose_exposure(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> float:
     """Compute the factor of the PNG pictures at which a white sheet facing the brightest lamp is white.
 
     A black cloth stays black; less where the bright parts of the cloth would then exceed the display's white.
@@ -140,10 +140,10 @@ def exposed(settings: ClothRenderSettings, pictures: list[ClothPicture]) -> floa
     return min(1.0 / sheet, brightest) if sheet > 0 else brightest
 
 
-def shown(settings: ClothRenderSettings, picture: ClothPicture, exposure: float) -> DisplayImage:
+def develop_picture(settings: ClothRenderSettings, picture: ClothPicture, exposure: float) -> DisplayImage:
     """Return the PNG picture, over white."""
     soft = settings.tone == "soft"
-    return developed(picture.linear, picture.coverage, exposure=exposure, soft=soft, background=1.0)
+    return develop(picture.linear, picture.coverage, exposure=exposure, soft=soft, background=1.0)
 
 
 def swatches(context: Context, brdf: Brdf, cloths: Mapping[str, Brdf]) -> dict:
@@ -154,14 +154,14 @@ def swatches(context: Context, brdf: Brdf, cloths: Mapping[str, Brdf]) -> dict:
     stage = studio(tubes(), lights_of(settings), view, margin=1.1, **room(settings))
     chosen = brdf if settings.as_measured else next(iter(cloths.values()), brdf)
     made = stage.render([stage.take(chosen)], supersampling=settings.supersampling, shadows=settings.shadows)
-    return {"cylinders": save(context, "cylinders", made[0], exposed(settings, made))}
+    return {"cylinders": save(context, "cylinders", made[0], choose_exposure(settings, made))}
 
 
 def save(context: Context, name: str, picture: ClothPicture, exposure: float) -> dict:
     """Write linear EXR and 8-bit PNG; return the losses of the PNG."""
     path, settings = context.output.path, context.settings
     write_exr(path(f"{name}.exr"), picture.linear, stamp=context.stamp, colours="srgb", coverage=picture.coverage)
-    image = shown(settings, picture, exposure)
+    image = develop_picture(settings, picture, exposure)
     write_png(path(f"{name}.png"), image.pixels, stamp=context.stamp)
     return {
         "samples": picture.samples,
@@ -193,7 +193,7 @@ def frames_of(context: Context, surface: Surface, brdf: Brdf):
     stage = in_view(settings, surface, rows, block.columns, wall=False)
     exposure = None
     for angle in turning(block.frames):
-        now = stage.turned(angle) if block.moves == "turn" else stage.lit_from(angle)
+        now = stage.turn(angle) if block.moves == "turn" else stage.lit_from(angle)
         picture = now.render([now.take(brdf)], supersampling=block.supersampling, shadows=settings.shadows)[0]
-        exposure = exposure or exposed(settings, [picture])
-        yield shown(settings, picture, exposure).pixels
+        exposure = exposure or choose_exposure(settings, [picture])
+        yield develop_picture(settings, picture, exposure).pixels

@@ -5,7 +5,7 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
 from nishiki.render.display import (
-    developed,
+    develop,
     three_channels,
     write_exr,
     write_normals_exr,
@@ -112,7 +112,7 @@ def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, pict
     linear = three_channels(picture.linear)
     path = context.output.path
     write_exr(path(f"{name}.exr"), linear, stamp=stamp, colours="srgb", coverage=alpha)
-    image = developed(linear * alpha[..., None], alpha, background=settings.background)
+    image = develop(linear * alpha[..., None], alpha, background=settings.background)
     write_png(path(f"{name}.png"), image.pixels, stamp=stamp)
     if settings.export_normals:
         normals = renderer.normals(picture, shot.camera)

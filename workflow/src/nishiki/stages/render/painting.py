@@ -118,7 +118,7 @@ def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
     exposure = picture.exposure
     if exposure == "auto":
         sheet = white_sheet(picture.lights, picture.ambient)
-        exposure = adapted_exposure(made.xyz, seen=seen(made), sheet=sheet, bounded=is_bounded(context))
+        exposure = adapted_exposure(made.xyz, seen=select_object(made), sheet=sheet, bounded=is_bounded(context))
     shown = display_image(made.xyz, white=made.white_xyz, exposure=exposure)
     write_png(context.output.path(f"{picture.name}.png"), shown.pixels, stamp=context.stamp)
     return {
@@ -133,7 +133,7 @@ def is_bounded(context: Context) -> bool:
     return not Maps(context.inputs["normals"].folder).group.attrs.get("unbalanced")
 
 
-def seen(made: Rendering) -> np.ndarray:
+def select_object(made: Rendering) -> np.ndarray:
     """Select pixels (rows, columns) of the picture that show the object."""
     return (made.coverage > 0.5) & ((made.flags & UNUSABLE) == 0)
 
@@ -156,7 +156,7 @@ def film(
         frames = (render(scene, [light], each, ambient=ambient, visibility=shadows) for each in views)
     first = next(frames)  # sets the exposure of all, so that the film does not flicker
     sheet = white_sheet([lamp], AMBIENT)
-    exposure = adapted_exposure(first.xyz, seen=seen(first), sheet=sheet, bounded=is_bounded(context))
+    exposure = adapted_exposure(first.xyz, seen=select_object(first), sheet=sheet, bounded=is_bounded(context))
     frames = chain([first], frames)
     pictures = (
         display_image(frame.xyz, white=frame.white_xyz, exposure=exposure).pixels

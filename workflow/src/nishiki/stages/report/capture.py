@@ -6,7 +6,7 @@ import numpy as np
 
 from nishiki.capture.schema import OBJECT_FACTS
 from nishiki.formats.problems import error_text
-from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Note, Section, Table
+from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Note, PageSection, Table
 from nishiki.report.scene_page import SceneData
 from nishiki.report.svg import bars, degrees, figure, lights_plot, percent
 
@@ -28,7 +28,7 @@ LEAST_SATURATED = 1e-4
 
 def capture_section(
     diagnostics: dict[str, Any], *, lights: list[str], kinds: list[str], directions: np.ndarray
-) -> Section:
+) -> PageSection:
     """Write the section. diagnostics : of ingest; kinds : of the lights (see `kind_of`); directions : (lights, 3)."""
     blocks: list[Block] = ["Ingest had nothing to warn of."]
     if diagnostics["warnings"]:
@@ -45,17 +45,17 @@ def capture_section(
         drawing = bars(values, names, title="saturated share of the object by light", unit="%")
         items.append(Figure("Saturation", SATURATION, svg=drawing))
     blocks.append(Figures(items))
-    if table := _corrected(diagnostics.get("corrections", {})):
+    if table := _corrections_table(diagnostics.get("corrections", {})):
         blocks.append(table)
     table = _exposure(diagnostics, lights, kinds, directions)
     summary = f"angles and exposure of all {len(lights)}"
     blocks.append(Fold("Each photograph", summary, [table]) if len(lights) > LONGEST_TABLE else table)
     if diagnostics["defects"]:
         blocks.append(f"{figure(diagnostics['defects'])} hot or dead pixels of the object are used nowhere.")
-    return Section("capture", "Capture", blocks)
+    return PageSection("capture", "Capture", blocks)
 
 
-def _corrected(corrections: dict[str, Any]) -> Table | None:
+def _corrections_table(corrections: dict[str, Any]) -> Table | None:
     """Return one row a photograph that was corrected or omitted: measurements before, and the correction."""
     done = corrections.get("done", {})
     rows = []
@@ -192,12 +192,14 @@ LOSSES = {
 """Losses of one number: the value up to which it is none, factor of the number, and sentence."""
 
 
-def export_section(data: SceneData) -> Section:
+def export_section(data: SceneData) -> PageSection:
     """Return the files of each format with their losses."""
-    return exported(next(diagnostics for name, diagnostics in data.diagnostics.items() if name.endswith("export")))
+    return exports_section(
+        next(diagnostics for name, diagnostics in data.diagnostics.items() if name.endswith("export"))
+    )
 
 
-def exported(diagnostics: dict[str, Any]) -> Section:
+def exports_section(diagnostics: dict[str, Any]) -> PageSection:
     """Return the files of each format with their losses; diagnostics : of the stage export."""
     rows = []
     for name, each in diagnostics["losses"].items():
@@ -205,7 +207,7 @@ def exported(diagnostics: dict[str, Any]) -> Section:
         files = ", ".join(dict.fromkeys(first + "/" * bool(below) for first, *below in names))
         megabytes = sum(diagnostics["bytes"][file] for file in each["files"]) / 1e6
         rows.append((name, files, f"{megabytes:.2f}", lost(each)))
-    return Section("exports", "Exports", [INTRO, Table(("format", "files", "MB", "what it loses"), rows, "lwrw")])
+    return PageSection("exports", "Exports", [INTRO, Table(("format", "files", "MB", "what it loses"), rows, "lwrw")])
 
 
 def lost(each: dict) -> str:

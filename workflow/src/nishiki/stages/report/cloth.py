@@ -16,15 +16,15 @@ from nishiki.report.page import (
     Fold,
     Heading,
     Metric,
-    Section,
+    PageSection,
     Table,
     contents,
     film_and_notes,
     read_json,
 )
-from nishiki.report.pictures import PagePicture, encoded, file_picture
+from nishiki.report.pictures import PagePicture, encode_picture, file_picture
 from nishiki.report.scene_page import SLIGHT, Head, SceneData, at, headline, write_scene_page
-from nishiki.report.svg import INK, PALETTE, Curve, chart, figure, percent
+from nishiki.report.svg import INK, PALETTE, ChartCurve, chart, figure, percent
 from nishiki.stages.report.capture import FACTS, export_section
 from nishiki.stages.report.cloth_reflection import (
     curves_section,
@@ -91,7 +91,7 @@ def cloth_headline(samples: dict[str, Any], evaluation: dict[str, Any], region: 
     return headline([(error, CLOTH_ERROR, left_out), (noise, SLIGHT, noisy)], advice)
 
 
-def rendered_section(data: SceneData) -> Section:
+def rendered_section(data: SceneData) -> PageSection:
     """Return the rendered pictures by kind: under each light, in each dye, and others."""
     render = data.inputs["cloth_render"]
     groups: dict[str, list[Figure]] = {"lights": [], "dyes": [], "others": []}
@@ -117,7 +117,7 @@ def rendered_section(data: SceneData) -> Section:
     if groups["dyes"]:
         blocks += [Heading(f"In {dyes} dye{'s' * (dyes > 1)}", "the same gloss over each"), Figures(groups["dyes"], 3)]
     blocks += [Figures(groups["others"]), *film_and_notes(render, "The film", data.settings.video_mb)]
-    return Section("rendered", "The cloth", blocks)
+    return PageSection("rendered", "The cloth", blocks)
 
 
 def words(name: str) -> tuple[str, str, str]:
@@ -133,7 +133,7 @@ def words(name: str) -> tuple[str, str, str]:
     return "others", name.replace("-", " ").capitalize(), ""
 
 
-def coverage_section(data: SceneData) -> Section:
+def coverage_section(data: SceneData) -> PageSection:
     """Return the drawing, and a row for each direction of light."""
     samples = data.inputs["goniometer_samples"]
     blocks: list[Block] = ["Views that were measured for each direction of light."]
@@ -152,7 +152,7 @@ def coverage_section(data: SceneData) -> Section:
         Figures([Figure("Coverage", caption, svg=drawing)], 1),
         Fold("Coverage", f"{len(rows)} directions of light", [Table(head, rows, "rrrrrrr")]),
     ]
-    return Section("coverage", "Measurements", blocks)
+    return PageSection("coverage", "Measurements", blocks)
 
 
 def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[str, str]]:
@@ -213,7 +213,7 @@ ANGLES = ("theta_a", "contact")
 PLANES = ("weft", "warp")
 
 
-def weave_section(data: SceneData) -> Section | None:
+def weave_section(data: SceneData) -> PageSection | None:
     """Return every region of weave.json."""
     weave = data.inputs["weave"]
     regions = (read_json(weave, "weave.json") or {}).get("regions") or {}
@@ -238,8 +238,10 @@ def weave_section(data: SceneData) -> Section | None:
         published += [Figures(curves), *notes(entry)]
         published.insert(0, Figures(drawings(weave, entry, suffix, "published", None)))
         blocks.append(yarn_table(entry["yarns"], weave.settings["confidence"]))
-        blocks.append(Fold("The published model: smooth sections", unexplained(entry), published))
-    return Section("weave", "Weave", blocks) if blocks else None
+        weft, warp = (f"{100 * entry['rms_rel'][plane]:.1f} %" for plane in PLANES)
+        text = f"the sections leave {weft} unexplained in the plane of the weft and {warp} in that of the warp"
+        blocks.append(Fold("The published model: smooth sections", text, published))
+    return PageSection("weave", "Weave", blocks) if blocks else None
 
 
 def drawings(weave: Artifact, entry: dict[str, Any], suffix: str, kind: str, caption: str | None) -> list[Figure]:
@@ -262,7 +264,7 @@ def tile_picture(data: bytes, widest: int) -> PagePicture:
     codes = codes[: min(rows, columns)]
     if columns > widest:
         codes = cv2.resize(codes, (widest, round(len(codes) * widest / columns)), interpolation=cv2.INTER_AREA)
-    return encoded(codes[..., ::-1])
+    return encode_picture(codes[..., ::-1])
 
 
 def summary(entry: dict[str, Any]) -> str:
@@ -283,13 +285,6 @@ def summary(entry: dict[str, Any]) -> str:
     if others:
         first += f" The measurements do not tell it from {' or '.join(f'a {other}' for other in others)}."
     return first
-
-
-def unexplained(entry: dict[str, Any]) -> str:
-    """Describe the reflectance not explained by the published sections."""
-    errors = entry["rms_rel"]
-    weft, warp = (f"{100 * errors[plane]:.1f} %" for plane in PLANES)
-    return f"the sections leave {weft} unexplained in the plane of the weft and {warp} in that of the warp"
 
 
 def section_words(section: dict[str, float]) -> str:
@@ -334,9 +329,9 @@ def curve(values: dict[str, Any], plane: str) -> Figure:
     """Draw measured and fitted reflectance of one plane."""
     angle, measured, gloss, body = (np.array(values[name]) for name in ("theta_r_deg", "measured", "gloss", "body"))
     curves = [
-        Curve("interpolated" if values["interpolated"] else "measured", angle, measured, colour=INK, dots=True),
-        Curve("fitted", angle, gloss + body),
-        Curve("of which from within", angle, body, colour=PALETTE[1], dashed=True),
+        ChartCurve("interpolated" if values["interpolated"] else "measured", angle, measured, colour=INK, dots=True),
+        ChartCurve("fitted", angle, gloss + body),
+        ChartCurve("of which from within", angle, body, colour=PALETTE[1], dashed=True),
     ]
     svg = chart(curves, x_label="view, degrees", y_label="BRDF, 1/sr", title=f"reflectance in the plane of the {plane}")
     return Figure(f"Plane of the {plane}", "light along the normal.", svg=svg)

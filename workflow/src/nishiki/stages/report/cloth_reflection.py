@@ -7,10 +7,10 @@ import numpy as np
 
 from nishiki.goniometry.table import Reflectances
 from nishiki.render.cloth.models import ClothModels
-from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
-from nishiki.report.pictures import PagePicture, Scale, coloured, encoded, heat, hexadecimal
+from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, PageSection, Table
+from nishiki.report.pictures import PagePicture, Scale, colour_map, encode_picture, heat, hexadecimal
 from nishiki.report.scene_page import SceneData
-from nishiki.report.svg import INK, PALETTE, Curve, chart, figure
+from nishiki.report.svg import INK, PALETTE, ChartCurve, chart, figure
 
 INCIDENCES_DEG = (0, 30, 60)
 AZIMUTHS = {"warp": np.pi / 2, "weft": 0.0}
@@ -39,7 +39,7 @@ def drawn_region(data: SceneData) -> str:
     return data.settings.region or Reflectances(data.inputs["goniometer_samples"].folder).regions[0]
 
 
-def reflection_section(data: SceneData) -> Section:
+def reflection_section(data: SceneData) -> PageSection:
     """Return discs and lobes of the region's default model, beside the measured disc; a table of all models."""
     measured, region = Reflectances(data.inputs["goniometer_samples"].folder), drawn_region(data)
     models = ClothModels(data.inputs["cloth_brdf"].folder)
@@ -72,7 +72,7 @@ def reflection_section(data: SceneData) -> Section:
     ]  # fmt: skip
     if models_of_region := data.value("cloth_brdf", "regions", region):
         blocks.append(table_of_models(models_of_region, models.default))
-    return Section("lobes", "Reflection", blocks)
+    return PageSection("lobes", "Reflection", blocks)
 
 
 def lobes_plot(evaluate: Callable[[float, float, np.ndarray], np.ndarray], plane: str) -> str:
@@ -80,7 +80,7 @@ def lobes_plot(evaluate: Callable[[float, float, np.ndarray], np.ndarray], plane
     angle, azimuth = np.arange(-STEEPEST_DEG, STEEPEST_DEG + 1), AZIMUTHS[plane]
     along = np.concatenate([light(float(degrees), azimuth)[None] for degrees in angle])
     curves = [
-        Curve(f"light at {degrees}°", angle, evaluate(degrees, azimuth, along), PALETTE[k])
+        ChartCurve(f"light at {degrees}°", angle, evaluate(degrees, azimuth, along), PALETTE[k])
         for k, degrees in enumerate(INCIDENCES_DEG)
     ]
     top = max(float(curve.y.max()) for curve in curves) or 1.0
@@ -136,9 +136,9 @@ def disc_picture(values: np.ndarray, inside: np.ndarray, low: float, high: float
     """Draw a logarithmic picture of values (n,) at the pixels of a disc; white outside."""
     table, picture = heat(), np.full((*inside.shape, 3), 255, np.uint8)
     logs = np.log10(np.maximum(values, 1e-12))
-    picture[inside] = coloured(logs[None], table, np.log10(low), np.log10(high))[0]
+    picture[inside] = colour_map(logs[None], table, np.log10(low), np.log10(high))[0]
     stops = tuple(hexadecimal(colour) for colour in table[:: 255 // 5])
-    return encoded(picture, lossless=True, scale=Scale(f"{low:.2g}", f"{high:.2g}", "1/sr, logarithmic", stops))
+    return encode_picture(picture, lossless=True, scale=Scale(f"{low:.2g}", f"{high:.2g}", "1/sr, logarithmic", stops))
 
 
 INTRODUCTION = (
@@ -148,7 +148,7 @@ INTRODUCTION = (
 )
 
 
-def errors_section(data: SceneData) -> Section:
+def errors_section(data: SceneData) -> PageSection:
     """Write the error against incidence of each region as table and chart."""
     evaluation = data.evaluation
     blocks: list[Block] = [INTRODUCTION]
@@ -156,7 +156,7 @@ def errors_section(data: SceneData) -> Section:
         if len(evaluation["regions"]) > 1:
             blocks.append(Heading(region))
         blocks += _errors_of(facts, evaluation["default"])
-    return Section("errors", "Errors", blocks)
+    return PageSection("errors", "Errors", blocks)
 
 
 def _errors_of(region: dict[str, Any], default: str) -> list[Block]:
@@ -214,7 +214,7 @@ def mean_error(parts: dict[str, dict]) -> float | None:
     return float(np.mean(values)) if values else None
 
 
-def curves_section(data: SceneData) -> Section | None:
+def curves_section(data: SceneData) -> PageSection | None:
     """Return charts of measured and predicted values in the plane of the light, for one region."""
     facts, default = data.evaluation["regions"].get(drawn_region(data), {}), data.evaluation["default"]
     if not facts.get("curves"):
@@ -227,7 +227,7 @@ def curves_section(data: SceneData) -> Section | None:
         caption = "" if any(curve["held_out"]) else "taken for the fit"
         items.append(Figure(heading, caption, svg=plane_chart(curve, models, default)))
     intro = "Values in the plane that holds the light and the normal. Dots: measured; lines: predicted."
-    return Section("curves", "Measured and predicted", [intro, Figures(items)])
+    return PageSection("curves", "Measured and predicted", [intro, Figures(items)])
 
 
 def lines_of(models: Sequence[str], default: str) -> dict[str, dict[str, Any]]:
@@ -238,13 +238,13 @@ def lines_of(models: Sequence[str], default: str) -> dict[str, dict[str, Any]]:
 def error_chart(models: dict[str, dict], default: str) -> str:
     """Draw the relative error against incidence on a logarithmic axis that holds every value, one line a model."""
     lines = lines_of(sorted(models, key=lambda model: model != default), default)
-    curves: list[Curve] = []
+    curves: list[ChartCurve] = []
     for model, parts in models.items():
         points = sorted((float(angle), part["rms_rel"]) for angle, part in parts.items() if part["rms_rel"] > 0)
         if points:
             x, y = np.array(points).T
-            curves.append(Curve(model_name(model), x, y, **lines[model]))
-            curves.append(Curve("", x, y, colour=lines[model]["colour"], dots=True))
+            curves.append(ChartCurve(model_name(model), x, y, **lines[model]))
+            curves.append(ChartCurve("", x, y, colour=lines[model]["colour"], dots=True))
     if not curves:
         return ""
     ends = [x for curve in curves for x in (curve.x.min(), curve.x.max())]
@@ -262,11 +262,11 @@ def plane_chart(curve: dict, models: list[str], default: str) -> str:
     drawn = lines_of(models, default)
     angle, measured = np.array(curve["theta_r_deg"]), np.array(curve["measured"])
     lines = [
-        Curve(model_name(model), angle, np.array(values), **drawn[model])
+        ChartCurve(model_name(model), angle, np.array(values), **drawn[model])
         for model in models
         if (values := curve["predicted"].get(model)) is not None
     ]
-    dots = Curve("measured", angle, measured, colour=INK, dots=True)
+    dots = ChartCurve("measured", angle, measured, colour=INK, dots=True)
     highest = max(float(np.nanmax(line.y, initial=0.0)) for line in [dots, *lines])
     top = max(1.05 * min(highest, 1.6 * float(measured.max())), 1e-6)  # a model may leave the drawing
     return chart(

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from nishiki.colour.colour import xyz_to_srgb_linear
-from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Metric, Note, Section, Table
-from nishiki.report.pictures import brightened, brightening, colour_picture
+from nishiki.report.page import LONGEST_TABLE, Block, Figure, Figures, Fold, Metric, Note, PageSection, Table
+from nishiki.report.pictures import brightening, colour_picture, describe_brightening
 from nishiki.report.scene_page import Head, headline
 from nishiki.stages.report.capture import about_capture, size_of
 from nishiki.stages.report.painting_surface import PaintingData
@@ -32,7 +32,7 @@ LAMPS_OF_FIELDS = (
 )
 
 
-def mosaic_section(page: PaintingData) -> Section:
+def mosaic_section(page: PaintingData) -> PageSection:
     """Return the section."""
     import cv2
 
@@ -48,7 +48,7 @@ def mosaic_section(page: PaintingData) -> Section:
         cv2.polylines(linear, [np.round(corners).astype(np.int32)], isClosed=True, color=(1.0, 0.3, 0.0), thickness=1)
         marks.append((*map(float, corners.mean(axis=0)), name))
     picture = replace(colour_picture(linear), marks=tuple(marks))
-    figure = Figure("Fields", FIELDS + brightened(factor), picture, ruler=page.ruler)
+    figure = Figure("Fields", FIELDS + describe_brightening(factor), picture, ruler=page.ruler)
     overlaps = sorted(described["overlaps"], key=lambda each: -(each.get("rms_px") or np.inf))
     nothing = [None, None]
     rows: list[list[Any]] = [
@@ -64,20 +64,23 @@ def mosaic_section(page: PaintingData) -> Section:
     ]
     groups = (("", 3), ("ΔE00", 2), ("angle, degrees", 2), ("", 1))
     head: tuple[str, ...] = ("Fields", "places", "residual, px", "before", "after", "before", "after", "")
-    blocks: list[Block] = [Figures([figure], 1), _folded("Overlaps", Table(head, rows, "lrrrrrrl", OVERLAPS, groups))]
+    blocks: list[Block] = [
+        Figures([figure], 1),
+        _fold_long("Overlaps", Table(head, rows, "lrrrrrrl", OVERLAPS, groups)),
+    ]
     rows = [
         [name, each["residual_px"], each["rotation_deg"], each["scale"], *each["tilt_deg"], *each["gain"]]
         for name, each in described["fields"].items()
     ]
     head = ("Field", "residual, px", "turn, degrees", "scale", "tilt about x, degrees", "about y")
     factors = [f"factor {number}" for number in range(1, len(rows[0]) - len(head) + 1)]
-    blocks.append(_folded("Fields", Table([*head, *factors], rows, "l" + "r" * (len(rows[0]) - 1), PLACED)))
+    blocks.append(_fold_long("Fields", Table([*head, *factors], rows, "l" + "r" * (len(rows[0]) - 1), PLACED)))
     if described.get("notes"):
         blocks.append(Note(described["notes"], listed=True))
-    return Section("mosaic", "Mosaic", blocks)
+    return PageSection("mosaic", "Mosaic", blocks)
 
 
-def _folded(title: str, table: Table) -> Block:
+def _fold_long(title: str, table: Table) -> Block:
     """Return the table, folded where it is long."""
     return Fold(title, f"all {len(table.rows)}", [table]) if len(table.rows) > LONGEST_TABLE else table
 

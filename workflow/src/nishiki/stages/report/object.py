@@ -20,16 +20,16 @@ from nishiki.report.page import (
     Fold,
     Heading,
     Metric,
-    Section,
+    PageSection,
     Table,
     film_and_notes,
 )
 from nishiki.report.pictures import (
     bright_picture,
-    brightened,
     brightening,
     colour_picture,
-    encoded,
+    describe_brightening,
+    encode_picture,
     file_picture,
     scalar_picture,
     sea,
@@ -118,7 +118,7 @@ def object_headline(diagnostics: dict[str, dict[str, Any]]) -> list[tuple[str, s
     return headline(measured, advice)
 
 
-def rendered_section(data: SceneData) -> Section:
+def rendered_section(data: SceneData) -> PageSection:
     """Return the rendered pictures, half as wide as the widest of the page."""
     render = data.inputs["object_render"]
     items = []
@@ -127,7 +127,7 @@ def rendered_section(data: SceneData) -> Section:
         items.append(Figure(words(name), note, picture))
     intro = "Pictures computed from the decoded record: mesh, reflection model and residual."
     blocks = [intro, Figures(items, 3), *film_and_notes(render, "The turn", data.settings.video_mb)]
-    return Section("rendered", "Rendered", blocks)
+    return PageSection("rendered", "Rendered", blocks)
 
 
 def words(name: str) -> str:
@@ -156,23 +156,23 @@ PICTURES = {
 }
 
 
-def comparison_section(data: SceneData) -> Section | None:
+def comparison_section(data: SceneData) -> PageSection | None:
     """Return photograph, rendered view, model alone and difference of some views."""
     blocks: list[Block] = []
     for entry in data.evaluation.get("pictures") or []:
         arrays = load_arrays(data.inputs["object_evaluate"].path(entry["arrays"]))
         items = [
-            Figure(heading, "" if blocks else caption, encoded(np.ascontiguousarray(arrays[key])))
+            Figure(heading, "" if blocks else caption, encode_picture(np.ascontiguousarray(arrays[key])))
             for key, (heading, caption) in PICTURES.items()
             if key in arrays
         ]
         if items:
             aside = "left out of everything, and predicted" if entry["left_out"] else "captured and coded"
             blocks += [Heading(f"View {entry['view']}", aside), Figures(items, 4)]
-    return Section("comparison", "Photograph and rendering", blocks) if blocks else None
+    return PageSection("comparison", "Photograph and rendering", blocks) if blocks else None
 
 
-def views_section(data: SceneData) -> Section:
+def views_section(data: SceneData) -> PageSection:
     """Return figures over all views of each kind of picture, and every view's."""
     evaluation = data.evaluation
     scale = "sRGB-coded" if evaluation["encoding"] == "srgb" else "linear"
@@ -197,7 +197,7 @@ def views_section(data: SceneData) -> Section:
         "that it covers beyond the outline, count as errors; the second figure is without them."
     )
     left_out = evaluation["left_out"]
-    return Section("views", "All views", [
+    return PageSection("views", "All views", [
         Table(("Pictures", *columns), kinds, "lrrrrrrrr", caption),
         f"Left out of carving, fits and residual, and predicted: {', '.join(left_out)}."
         if left_out
@@ -218,7 +218,7 @@ SEPARATION = (
 """Facts on the separation by the states of the polarisers, as of `fact_rows`."""
 
 
-def separation_section(data: SceneData) -> Section:
+def separation_section(data: SceneData) -> PageSection:
     """Write the results of polarisation separation, with the first pictures that the stage drew."""
     polarise = data.inputs["polarise"]
     shown, path = list((polarise.diagnostics.get("pictures") or {}).items())[:MOST_PICTURES], polarise.path
@@ -226,7 +226,7 @@ def separation_section(data: SceneData) -> Section:
         Figure(f"View {view}: all light, diffuse, specular", "", file_picture(path(file).read_bytes(), data.widest))
         for file, view in shown
     ]
-    return Section("separation", "Separation", [Table((), separation(polarise.diagnostics), "wr"), Figures(items)])
+    return PageSection("separation", "Separation", [Table((), separation(polarise.diagnostics), "wr"), Figures(items)])
 
 
 def separation(diagnostics: dict[str, Any]) -> list[tuple[str, Cell]]:
@@ -239,7 +239,7 @@ def separation(diagnostics: dict[str, Any]) -> list[tuple[str, Cell]]:
     ]
 
 
-def cameras_section(data: SceneData) -> Section:
+def cameras_section(data: SceneData) -> PageSection:
     """Write the section on the cameras."""
     cameras = data.inputs["cameras"]
     held_out = set(data.inputs["texels"].settings["hold_out"]) if "texels" in data.inputs else set()
@@ -253,7 +253,7 @@ def cameras_section(data: SceneData) -> Section:
     )
     uneven = at(diagnostics, "estimate", "uneven_steps_deg") or {}
     named = [(f"step unlike the others, {views}, degrees", step) for views, step in uneven.items()]
-    return Section("cameras", "Cameras", [
+    return PageSection("cameras", "Cameras", [
         Figures([Figure("The turn, seen along its axis", caption, svg=drawing)]),
         Table((), [*fact_rows(diagnostics, CAMERAS), *named], "wr"),
     ])  # fmt: skip
@@ -294,7 +294,7 @@ def turn_plot(centres: np.ndarray, names: list[str], held_out: set[str], axis=No
     return lights_plot(directions, names, kinds, title=title, sides=())
 
 
-def geometry_section(data: SceneData) -> Section:
+def geometry_section(data: SceneData) -> PageSection:
     """Return counts, silhouettes and a picture of the surface."""
     mesh = data.inputs["mesh"]
     preview = file_picture(mesh.path("preview.png").read_bytes(), data.widest)
@@ -302,7 +302,7 @@ def geometry_section(data: SceneData) -> Section:
     cleaned = [name for name, count in (mesh.diagnostics.get("cleaned") or {}).items() if count]
     mended = [(f"removed or mended: {name.replace('_', ' ')}", f"cleaned.{name}", 1) for name in cleaned]
     rows = fact_rows(mesh.diagnostics, [*SURFACE, *mended])
-    return Section("geometry", "Geometry", [Table((), rows, "lr"), Figures([figure])])
+    return PageSection("geometry", "Geometry", [Table((), rows, "lr"), Figures([figure])])
 
 
 SURFACE = (
@@ -338,7 +338,7 @@ MODEL = (
 """Facts on the reflection model, as of `fact_rows`."""
 
 
-def model_section(data: SceneData) -> Section:
+def model_section(data: SceneData) -> PageSection:
     """Write parameter maps as sheets of all charts, and the fit's diagnostics."""
     object_brdf = data.inputs["object_brdf"]
     maps, diagnostics = ParameterMaps(object_brdf.folder), object_brdf.diagnostics
@@ -361,7 +361,7 @@ def model_section(data: SceneData) -> Section:
     )
     if len(figures) == 1:
         intro += " No texel has a highlight in this fit, so that there are no sheets of its strength and width."
-    return Section(
+    return PageSection(
         "model",
         "Reflection",
         [intro, Figures(figures, 3), Table((), [("lighting", lighting), *fact_rows(diagnostics, MODEL)], "lr")],
@@ -379,7 +379,7 @@ def parameter_figures(parameters: np.ndarray) -> list[Figure]:
         ("Specular reflection", ks, "K_s of every texel, from its own highlights or its neighbours'."),
     )[: 1 + glossy]:
         gain = brightening(values)
-        figures.append(Figure(name, caption + brightened(gain), colour_picture(values * gain)))
+        figures.append(Figure(name, caption + describe_brightening(gain), colour_picture(values * gain)))
     if glossy:
         width = scalar_picture(np.degrees(parameters[..., -1]), sea(), unit="degrees")
         figures.append(Figure("Width of the highlight", "sigma of every texel: the larger, the duller.", width))
@@ -418,7 +418,7 @@ RESIDUAL = (
 """Facts on the residual, as of `fact_rows`."""
 
 
-def residual_section(data: SceneData) -> Section:
+def residual_section(data: SceneData) -> PageSection:
     """Write the section on what the model does not explain, and on its bytes."""
     residual = data.diagnostics["residual"]
     intro = "What the model does not explain is kept as wavelet coefficients over the surface and the views."
@@ -437,7 +437,7 @@ def residual_section(data: SceneData) -> Section:
         Figures([drawing]),
         Fold("Bytes", "by part", [Table((), rows, "lr")]),
     ]
-    return Section("residual", "Residual", blocks)
+    return PageSection("residual", "Residual", blocks)
 
 
 SECTIONS = (

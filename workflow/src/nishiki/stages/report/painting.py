@@ -14,14 +14,14 @@ from nishiki.report.page import (
     Figure,
     Figures,
     Metric,
-    Section,
+    PageSection,
     Table,
     film,
     film_and_notes,
 )
 from nishiki.report.pictures import class_picture, file_picture
 from nishiki.report.scene_page import SLIGHT, Head, headline, text, write_scene_page
-from nishiki.report.svg import PALETTE, Curve, chart, plain
+from nishiki.report.svg import PALETTE, ChartCurve, chart, plain
 from nishiki.stages.report.capture import capture_section, export_section, facts_of_painting
 from nishiki.stages.report.mosaic import LAMPS_OF_FIELDS, mosaic_head, mosaic_section
 from nishiki.stages.report.painting_prediction import part_name, relighting_section, worst_level, worst_part
@@ -91,10 +91,10 @@ def finishes_of(page: PaintingData) -> list[Block]:
     return [figures, Table(head, rows, "lrrlr", caption)]
 
 
-def gloss_section(page: PaintingData) -> Section:
+def gloss_section(page: PaintingData) -> PageSection:
     """Write the section on gloss."""
     parameters = json.loads(page.inputs["brdf"].path("parameters.json").read_text())
-    return Section("gloss", "Gloss", [*finishes_of(page), *gloss_blocks(parameters["regions"], page.names)])
+    return PageSection("gloss", "Gloss", [*finishes_of(page), *gloss_blocks(parameters["regions"], page.names)])
 
 
 def gloss_blocks(regions: list[dict[str, Any]], names: list[str]) -> list[Block]:
@@ -136,9 +136,9 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
         "y_label": "specular part / (F G / cos θr)",
     }
     drawn = [
-        Curve("measured", phi, value, PALETTE[0], dots=True, strength=np.where(phi <= reach, strength, 0)),
+        ChartCurve("measured", phi, value, PALETTE[0], dots=True, strength=np.where(phi <= reach, strength, 0)),
         # the fit is blurred by each row's own uncertainty of the normals: a line through firm rows only
-        Curve("fitted lobe", phi[firm], fitted[firm], PALETTE[1]),
+        ChartCurve("fitted lobe", phi[firm], fitted[firm], PALETTE[1]),
     ]
     linear = chart(
         drawn, title=f"specular profile of {name}", x_range=(0, reach), y_range=(-0.05 * peak, 1.05 * peak), **axes
@@ -156,13 +156,13 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
     return [Figure(heading, LINEAR, svg=linear), Figure(f"{heading}, logarithmic", LOGARITHMIC, svg=logarithmic)]
 
 
-def appearance_section(page: PaintingData) -> Section:
+def appearance_section(page: PaintingData) -> PageSection:
     """Return pictures and films; a scale bar is below those seen from the front."""
     render, video_mb = page.inputs["render"], page.settings.video_mb
     reported, pictures = render.diagnostics["pictures"], render.settings["pictures"]
     items = []
     for entry in pictures[:MOST_PICTURES]:
-        exposure = exposed(reported[entry["name"]]["exposure"], chosen=entry["exposure"] == "auto")
+        exposure = describe_exposure(reported[entry["name"]]["exposure"], chosen=entry["exposure"] == "auto")
         picture = file_picture(render.path(f"{entry['name']}.png").read_bytes(), page.widest)
         scale = page.ruler if entry["view"]["kind"] == "frontal" else None
         items.append(Figure(in_words(entry["name"]), f"{describe(entry)} {exposure}", picture, ruler=scale))
@@ -177,14 +177,14 @@ def appearance_section(page: PaintingData) -> Section:
     for entry in render.settings["sequences"]:
         facts = reported[entry["name"]]
         moves = f"The {entry['moves']} goes round at {entry['elevation_deg']:g}° above the plane."
-        caption = f"{moves} {exposed(facts['exposure'], chosen=True)}"
+        caption = f"{moves} {describe_exposure(facts['exposure'], chosen=True)}"
         blocks.append(film(render, facts["file"], in_words(entry["name"]), caption, video_mb))
     if more := [f"render/{render.key}/{entry['name']}.png" for entry in pictures[MOST_PICTURES:]]:
         blocks.append(f"Also made: {', '.join(more)}.")
-    return Section("appearance", "Appearance", [*blocks, *film_and_notes(render, "", video_mb)])
+    return PageSection("appearance", "Appearance", [*blocks, *film_and_notes(render, "", video_mb)])
 
 
-def photographs_section(page: PaintingData) -> Section | None:
+def photographs_section(page: PaintingData) -> PageSection | None:
     """Return the photographs and their lights; those of a mosaic belong to its fields."""
     if "mosaic" in page.inputs:
         return None
@@ -208,7 +208,7 @@ def describe(picture: dict[str, Any]) -> str:
     return f"{' and '.join(lights) or 'no lamp'}{ambient}, {seen}."
 
 
-def exposed(exposure: float, *, chosen: bool) -> str:
+def describe_exposure(exposure: float, *, chosen: bool) -> str:
     """Describe the exposure in a caption; chosen: from the picture itself."""
     why = ", chosen from the picture" if chosen else ""
     return f"Exposure {plain(exposure, 2)}{why} (1: a white that faces the lamp is white)."

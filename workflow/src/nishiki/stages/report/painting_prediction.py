@@ -8,17 +8,17 @@ import numpy as np
 
 from nishiki.evaluate.relighting import DIFFUSE, FADGI, HIGHLIGHT, ISO_19264, SHADOW
 from nishiki.formats.stored import load_arrays
-from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, Section, Table
+from nishiki.report.page import Block, Cell, Figure, Figures, Heading, Note, PageSection, Table
 from nishiki.report.pictures import (
     balance,
-    brightened,
     brightening,
     class_picture,
     colour_picture,
+    describe_brightening,
     heat,
     scalar_picture,
 )
-from nishiki.report.svg import signed
+from nishiki.report.svg import format_signed
 from nishiki.stages.report.painting_surface import PaintingData
 
 MOST_LIGHTS = 4  # on the page, the worst among them
@@ -34,7 +34,7 @@ CLASS_KEY = {
 }
 
 
-def relighting_section(page: PaintingData) -> Section | None:
+def relighting_section(page: PaintingData) -> PageSection | None:
     """Write the section on relighting; None where no light was held out of the fits."""
     evaluation, finishes = page.evaluation, page.names
     if not evaluation["lights"]:
@@ -69,7 +69,7 @@ def relighting_section(page: PaintingData) -> Section | None:
         _table_of_parts(evaluation["parts"], finishes),
         _in_museum_terms(evaluation, finishes),
     ]
-    return Section("relighting", "Prediction and photograph", blocks)
+    return PageSection("relighting", "Prediction and photograph", blocks)
 
 
 def _captions(from_truth: bool) -> list[str]:
@@ -91,12 +91,12 @@ def _pictures(page: PaintingData, light, preview, difference: np.ndarray, end: f
     factor = brightening(observed[inside])
     de00, classes = f"de00_{light['index']:03d}", f"classes_{light['index']:03d}"
 
-    def ranked(rows: slice) -> np.ndarray:
+    def rank(rows: slice) -> np.ndarray:
         """Read classes as floats, 0 (not compared) as NaN, so that a block takes its most severe one."""
         values = maps.read(classes, rows)
         return np.where(values > 0, values, np.nan).astype(np.float32)
 
-    in_view = page.small(ranked, "largest")
+    in_view = page.small(rank, "largest")
     small = page.small(partial(maps.read, de00))
     pictures = {
         "Photograph": colour_picture(factor * observed, inside=inside),
@@ -105,7 +105,7 @@ def _pictures(page: PaintingData, light, preview, difference: np.ndarray, end: f
         "Signed difference": scalar_picture(difference, balance(), unit="% of white", low=-end, high=end),
         "What is in view": class_picture(in_view, CLASS_KEY),
     }
-    notes = [brightened(factor)] * 2 + [""] * 3
+    notes = [describe_brightening(factor)] * 2 + [""] * 3
     items = zip(pictures.items(), captions, notes, strict=True)
     return [Figure(name, (caption + note).strip(), picture) for (name, picture), caption, note in items]
 
@@ -117,7 +117,7 @@ def _table_of_lights(lights: list[dict[str, Any]], overall: dict[str, Any], lamp
         for name in CLASSES:
             row += _mean_and_p90(light["by_class"][name]["de00"])
             if name == "highlight":
-                row.append(signed(light["by_class"][name]["bias"]))
+                row.append(format_signed(light["by_class"][name]["bias"]))
         rows.append([*row, light["psnr_linear_db"], light["psnr_coded_db"], sum(light["excluded"].values())])
     rows.append(["all lights", "", "", *_mean_and_p90(overall["de00"]), *[""] * 10])
     head = ["Light", "kept as", "from normal", *["mean", "90 %"] * 3, "signed", *["mean", "90 %"]]
@@ -177,7 +177,7 @@ def _table_of_parts(parts: Sequence[dict[str, Any]], finishes: Sequence[str]) ->
     rows: list[list[Cell]] = []
     for part in parts:
         light = worst_level(part)
-        level = signed(light["level_error"]), f"{light['incidence_deg']:.0f}°"
+        level = format_signed(light["level_error"]), f"{light['incidence_deg']:.0f}°"
         rows.append([part_name(part, finishes), 100 * part["share"], *_mean_and_p90(part["de00"]), *level])
     return Table(
         ("Part", "share, %", "mean", "90 %", "level", "under a lamp at"), rows, "lrrrrr",

@@ -22,14 +22,14 @@ from nishiki.colour.sampling import WAVELENGTHS_NM
 from nishiki.evaluate.camera_colour import read_camera_colour
 from nishiki.observations.plane import Observations
 from nishiki.photometric.flags import NO_ESTIMATE, NormalFlag
-from nishiki.report.page import Block, Figure, Figures, Heading, Section, Table
+from nishiki.report.page import Block, Figure, Figures, Heading, PageSection, Table
 from nishiki.report.pictures import (
     Ruler,
     block_of,
-    brightened,
     brightening,
     class_picture,
     colour_picture,
+    describe_brightening,
     heat,
     hexadecimal,
     hillshade,
@@ -39,7 +39,7 @@ from nishiki.report.pictures import (
     sea,
 )
 from nishiki.report.scene_page import SceneData
-from nishiki.report.svg import DASHES, PALETTE, SOFT, Curve, chart, figure
+from nishiki.report.svg import DASHES, PALETTE, SOFT, ChartCurve, chart, figure
 from nishiki.stages.report.capture import kind_of
 
 # From harmless to grave: later ones win where a block of pixels has several.
@@ -125,7 +125,7 @@ class PaintingData(SceneData):
         self.finishes = normals.diagnostics.get("finishes") or []
         self.names = finish_names(self.finishes)
 
-    def known(self, rows: slice) -> np.ndarray:
+    def read_known(self, rows: slice) -> np.ndarray:
         """Return the pixels of the object that have an estimate, (r, columns) bool."""
         return self.mask[rows] & ((self.maps["normals"].read("flags", rows) & NO_ESTIMATE) == 0)
 
@@ -134,17 +134,17 @@ class PaintingData(SceneData):
 
         def values(rows: slice) -> np.ndarray:
             found = np.array(read(rows), np.float32)
-            found[~self.known(rows)] = np.nan
+            found[~self.read_known(rows)] = np.nan
             return found
 
         return shrink(values if masked else read, self.mask.shape, self.block, how)
 
 
-def shape_section(page: PaintingData) -> Section:
+def shape_section(page: PaintingData) -> PageSection:
     """Return normals, height and their errors."""
     diagnostics = page.diagnostics["normals"]
     normals, height, evaluated = (page.maps.get(name) for name in ("normals", "height", "evaluate"))
-    known = page.small(lambda rows: page.known(rows).astype(np.float32)) > 0
+    known = page.small(lambda rows: page.read_known(rows).astype(np.float32)) > 0
 
     def small(name: str, maps: Maps = normals) -> np.ndarray:
         return np.where(
@@ -173,11 +173,11 @@ def shape_section(page: PaintingData) -> Section:
     key = {k: (colour, text) for k, (_, colour, text) in enumerate(CLASSES)}
     flags = class_picture(_flags(page), key)
     items.append(Figure("Weak places", "where an estimate is missing or weak.", flags))
-    given = _of_given(diagnostics["given"]) if diagnostics.get("given") else []
-    return Section("shape", "Shape", [Figures(items), *given, *_against_truth(page.evaluation)])
+    given = _given_blocks(diagnostics["given"]) if diagnostics.get("given") else []
+    return PageSection("shape", "Shape", [Figures(items), *given, *_against_truth(page.evaluation)])
 
 
-def _of_given(given: dict[str, Any]) -> list[Block]:
+def _given_blocks(given: dict[str, Any]) -> list[Block]:
     axes, like, following = (given[name] for name in ("axes", "correlation", "correlation_next_axes"))
     apart = figure(given["apart_median_deg"], 3, "degrees")
     blocks: list[Block] = [
@@ -247,7 +247,7 @@ VARNISH = (
 )
 
 
-def colour_section(page: PaintingData) -> Section:
+def colour_section(page: PaintingData) -> PageSection:
     """Return diffuse reflectance, spectra where there are some, and their errors."""
     normals, spectra, evaluated = (page.maps.get(name) for name in ("normals", "spectra", "evaluate"))
     maps, name = (normals, "reflectance") if spectra is None else (spectra, "coefficients")
@@ -256,13 +256,13 @@ def colour_section(page: PaintingData) -> Section:
         figure = _diffuse(
             xyz_to_srgb_linear(page.camera.xyz(small), white=page.camera.white), page.camera.how, (), page.ruler
         )
-        return Section("colour", "Colour", [Figures([figure])])
+        return PageSection("colour", "Colour", [Figures([figure])])
     basis = np.array(spectra.attributes("coefficients")["basis"])
     xyz = small @ xyz_matrix(illuminant("D65"), basis).T
     sigma = page.small(partial(spectra.read, "sigma"), masked=True)
     profile = np.array(spectra.attributes("sigma")["profile"])
     truth = page.evaluation.get("reflectance") or {}
-    curves, marks = _of_places(small, xyz, basis, sigma[..., None] * profile, page.block)
+    curves, marks = _draw_places(small, xyz, basis, sigma[..., None] * profile, page.block)
     items = [_diffuse(xyz_to_srgb_linear(xyz), "from the spectra of the pixels, under D65", marks, page.ruler)]
     if evaluated is not None and "reflectance_de00" in evaluated:
         difference = page.small(partial(evaluated.read, "reflectance_de00"))
@@ -273,13 +273,13 @@ def colour_section(page: PaintingData) -> Section:
     blocks: list[Block] = [Figures(items)]
     if curves:
         blocks += [Heading("Spectra"), f"{PLACES} {VARNISH}", Figures(curves, 3)]
-    return Section("colour", "Colour", [*blocks, *_tables(page.value("spectra", "expected_de00") or {}, truth)])
+    return PageSection("colour", "Colour", [*blocks, *_tables(page.value("spectra", "expected_de00") or {}, truth)])
 
 
 def _diffuse(linear: np.ndarray, how: str, marks: tuple, ruler: Ruler | None) -> Figure:
     factor = brightening(linear)
     numbers = " The numbers are the places of the spectra below." if marks else ""
-    caption = f"the object without highlights, shadows and shading; {how}.{brightened(factor)}{numbers}"
+    caption = f"the object without highlights, shadows and shading; {how}.{describe_brightening(factor)}{numbers}"
     return Figure("Diffuse reflectance", caption, replace(colour_picture(factor * linear), marks=marks), ruler=ruler)
 
 
@@ -321,7 +321,7 @@ def spread_out(points: np.ndarray, count: int, first: int) -> list[int]:
     return chosen
 
 
-def _of_places(
+def _draw_places(
     small: np.ndarray, xyz: np.ndarray, basis: np.ndarray, sigma: np.ndarray, block: int
 ) -> tuple[list[Figure], tuple]:
     """Draw spectra of places that differ most in colour: means over blocks of pixels, without extremes; and marks.
@@ -352,8 +352,8 @@ def _spectrum_chart(label: str, spectrum: np.ndarray, sigma: np.ndarray) -> Figu
     edges = (spectrum - sigma, spectrum + sigma)
     svg = chart(
         [
-            Curve("", WAVELENGTHS_NM, spectrum, PALETTE[1]),
-            *(Curve("", WAVELENGTHS_NM, edge, SOFT, dashed=True, dash=DASHES[1]) for edge in edges),
+            ChartCurve("", WAVELENGTHS_NM, spectrum, PALETTE[1]),
+            *(ChartCurve("", WAVELENGTHS_NM, edge, SOFT, dashed=True, dash=DASHES[1]) for edge in edges),
         ],
         x_label="wavelength, nm",
         y_label="reflectance",

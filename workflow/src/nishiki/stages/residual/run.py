@@ -15,7 +15,7 @@ from nishiki.codec.allocate import (
     SLOPE,
     EncodedObject,
     Pilot,
-    Point,
+    RatePoint,
     find_step,
     one_pass,
     pilot,
@@ -26,7 +26,7 @@ from nishiki.codec.allocate import (
 from nishiki.codec.compact import cost_of
 from nishiki.codec.design import Design
 from nishiki.codec.parameters import TileMaps, TileSurface
-from nishiki.codec.pictures import SIDE, PictureSource, pack_strayed, with_strayed
+from nishiki.codec.pictures import SIDE, PictureSource, attach_strayed, pack_strayed
 from nishiki.codec.solve import Pursuit
 from nishiki.codec.store import FRAME, frame_bytes, write_residual
 from nishiki.codec.tile_code import CodedScene, Effort, Pixels, model_of, see
@@ -37,7 +37,7 @@ from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.placement import outline_of
 from nishiki.model_selection.decision import economy
-from nishiki.model_selection.sufficient import Left, decide_residual, model_suffices, what_is_left
+from nishiki.model_selection.sufficient import Left, decide_residual, model_suffices, summarise_residual
 from nishiki.stages.residual import ResidualSettings
 from nishiki.threads import threads
 
@@ -122,7 +122,7 @@ def run(context: Context) -> dict:
     figures: dict = {**diagnostics(encoded, counts), "pictures": None}
     if pictures is not None:
         coded, curve = point_of(pictures), [replace(p, bytes=p.bytes + encoded.bytes) for p in pictures.curve]
-        figures["curve"], pictures = [asdict(point) for point in curve], with_strayed(pictures, strayed)
+        figures["curve"], pictures = [asdict(point) for point in curve], attach_strayed(pictures, strayed)
         figures |= {"psnr_db": coded.psnr_db, "pictures": asdict(coded) | {"equal_bytes_psnr_db": alike}}
     parts = write_residual(context.output.folder, encoded, pictures, stamp=context.stamp, report=figures)
     bits = 8 * parts["total"] / max(1, counts["pixels"])
@@ -209,7 +209,7 @@ def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -
         left = seen.values - seen.feet.look_up(model_of(piloted.refined[tile].maps, seen, scene, design))
         order = seen.feet.order[seen.usable]
         tiles.append((left[:, seen.usable], pixels.observation[order], pixels.s[order], pixels.t[order]))
-    return what_is_left(tiles)
+    return summarise_residual(tiles)
 
 
 class ArtifactSource:
@@ -267,7 +267,7 @@ def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str
     return math.log(max(1.0, amounts[settings.target]))
 
 
-def measured(point: Point, target: str) -> float:
+def measured(point: RatePoint, target: str) -> float:
     """Return the quantity of the target, a number that falls with the step."""
     if target == "psnr":
         return point.psnr_db / DECIBELS

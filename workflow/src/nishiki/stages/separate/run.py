@@ -37,7 +37,7 @@ def map_tiles(context: Context) -> dict:
             for parcel in parcels(frames, rows, lights):
                 area = np.s_[:, parcel.rows, parcel.columns]
                 selection = select_diffuse(
-                    parcel.scaled(observations[area]),
+                    parcel.scale_to_centre(observations[area]),
                     parcel.directions,
                     valid=valid[area],
                     method=settings.method,

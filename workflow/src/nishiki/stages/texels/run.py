@@ -16,7 +16,7 @@ from nishiki.atlas.quality import (
 )
 from nishiki.atlas.write import Source, TexelsWriter
 from nishiki.errors import UserError
-from nishiki.evaluate.object_photographs import Pictures
+from nishiki.evaluate.object_photographs import LinearPictures
 from nishiki.formats.stored import open_array
 from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.geometry.mesh import Mesh
@@ -34,7 +34,7 @@ def run(context: Context) -> dict:
     silhouettes = open_array(outlines) if outlines.exists() else None
     check(views, cameras)
     charts, atlas = lay_out(mesh, [c for c in cameras if c.name not in settings.hold_out] or cameras, settings)
-    source = Pictures(context.inputs)
+    source = LinearPictures(context.inputs)
     writer = TexelsWriter(
         context.output.folder,
         OUTPUTS,
@@ -68,7 +68,7 @@ def run(context: Context) -> dict:
                 facts["visible"] += count["visible"]
                 facts["texels"] += count["inside"]
     write_preview(context.output.path("preview.png"), atlas, writer.finish(), views.encoding)
-    return described(mesh, charts, atlas, writer, {**facts, "per_pixel": shares})
+    return describe_texels(mesh, charts, atlas, writer, {**facts, "per_pixel": shares})
 
 
 def check(views: Views, cameras: list[Camera]) -> None:
@@ -113,7 +113,7 @@ def write_preview(path: Path, atlas: Atlas, texels: np.ndarray, encoding: str) -
     cv2.imwrite(str(path), np.round(shown * 255).astype(np.uint8))
 
 
-def described(mesh: Mesh, charts: Charts, atlas: Atlas, writer: TexelsWriter, facts: dict) -> dict:
+def describe_texels(mesh: Mesh, charts: Charts, atlas: Atlas, writer: TexelsWriter, facts: dict) -> dict:
     """Return diagnostics."""
     stretch = stretch_percentiles(mesh, atlas)
     per_pixel = [value for value in facts["per_pixel"] if value is not None]

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
-from nishiki.stages.render import DYES, Colour, MeshSettings, Name, with_digest_of_mesh
+from nishiki.stages.render import DYES, Colour, Name, SurfaceFile, with_digest_of_mesh
 
 
 class ViewerSettings(Guarded, stage="viewer", version=3):
@@ -57,7 +57,7 @@ class ClothViewerSettings(Guarded, stage="cloth_viewer", version=1):
     """A page on which cloth, lamps and eye move, offline."""
 
     dyes: dict[Name, Colour] = Field(DYES, description="dyes to choose from, sRGB colour; others are mixed on the page")
-    mesh: MeshSettings | None = Field(
+    mesh: SurfaceFile | None = Field(
         None, description="a surface from a file beside the others; that of `cloth_render`, filled in by the plan"
     )
     inline_mb: float = Field(6, ge=0, le=100, description="up to this size the page is one file")

@@ -11,12 +11,12 @@ from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.interface import gloss_of
 from nishiki.progress import Progress
 from nishiki.render.cloth import scene
-from nishiki.render.cloth.models import LEAST_COSINE, LIFT, ClothModels, dyed, grid_views, shares
+from nishiki.render.cloth.models import LEAST_COSINE, LIFT, ClothModels, apply_dyes, grid_views, shares
 from nishiki.render.cloth.scene import Brdf, BrdfTable, Surface
 from nishiki.render.cloth.studio import Studio, Viewpoint, studio, tubes
 from nishiki.render.cloth.surfaces import read_drape, sheet, swatch
 from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
-from nishiki.stages.render import ClothRenderSettings, MeshSettings
+from nishiki.stages.render import ClothRenderSettings, SurfaceFile
 from nishiki.stages.render.cloth import FINEST_SIDE, surface_from_file
 
 PAGE = Path(__file__).with_suffix(".js")
@@ -37,7 +37,7 @@ def write_cloth(
     about: dict,
     *,
     dyes: dict[str, str],
-    mesh: MeshSettings | None = None,
+    mesh: SurfaceFile | None = None,
     progress: Progress,
 ) -> dict:
     """Write blocks and page of a cloth; return sizes in bytes.
@@ -80,7 +80,7 @@ def on_paper(cloths: list[Surface], view: Viewpoint, **more: Any) -> Studio:
     return studio(cloths, [], view, level=1.0, reflectance=ClothRenderSettings().paper, wall=False, **more)
 
 
-def surfaces(mesh: MeshSettings | None) -> dict[str, Callable[[], Studio]]:
+def surfaces(mesh: SurfaceFile | None) -> dict[str, Callable[[], Studio]]:
     """Return the page's surfaces by name; the surface of a file, of unknown unit of length, first.
 
     drape: over a ball; flat: a sample that faces the eye, weft to the right; cylinders: warp upright, oblique, around.
@@ -95,14 +95,14 @@ def surfaces(mesh: MeshSettings | None) -> dict[str, Callable[[], Studio]]:
 
 
 @dataclass(frozen=True)
-class Shape:
+class ViewerSurface:
     """A surface for the page: arrays of its block, and numbers for the manifest."""
 
     arrays: dict[str, np.ndarray]
     numbers: dict
 
 
-def shape_of(scene: Studio) -> Shape:
+def shape_of(scene: Studio) -> ViewerSurface:
     """Encode a studio's surfaces: vertices as whole steps, unit vectors in 1/32767, openness in 1/255.
 
     All but the openness are differences of consecutive rows, which deflate well.
@@ -131,7 +131,7 @@ def shape_of(scene: Studio) -> Shape:
         "reflectance": scene.paper.albedo[0] if scene.paper else 0.0,
         "floor": float(mesh.vertices[:, 1].min()) if scene.paper else None,
     }
-    return Shape(arrays, numbers)
+    return ViewerSurface(arrays, numbers)
 
 
 def differences(values: np.ndarray) -> np.ndarray:
@@ -150,7 +150,7 @@ def material_arrays(brdf: Brdf) -> dict[str, dict[str, np.ndarray]]:
     """Return a model's blocks: its table and share of ambient light, its gloss alone and the albedo for dyes."""
     gloss = gloss_of(brdf)
     of_all, of_gloss = shares(brdf, gloss)
-    dye = dyed(gloss, {"white": (1.0, 1.0, 1.0)}, of_gloss)["white"]
+    dye = apply_dyes(gloss, {"white": (1.0, 1.0, 1.0)}, of_gloss)["white"]
     through = {
         "albedo": dye.gloss_albedo.astype(np.float32),
         "albedo_of_views": dye.gloss_albedo_at(grid_views()).astype(np.float32),

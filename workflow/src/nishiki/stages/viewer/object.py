@@ -13,8 +13,8 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.codec.compact import mesh_step
 from nishiki.codec.design import view_matrix
-from nishiki.codec.store import Coded
-from nishiki.codec.transform import Plane
+from nishiki.codec.store import CodedReader
+from nishiki.codec.transform import PlaneTransform
 from nishiki.geometry.turn import fit_turn
 from nishiki.observations.views import Views
 from nishiki.render.object.decoded_object import DecodedObject
@@ -94,10 +94,10 @@ def decoder_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
     return arrays
 
 
-def coded_arrays(coded: Coded) -> dict[str, np.ndarray]:
+def coded_arrays(coded: CodedReader) -> dict[str, np.ndarray]:
     """Return the index of the streams, start states of the coder, wavelets and transforms along the views."""
     extents = [extent.row_of_numbers() for extent in coded.extents]
-    lengths = [coded.stored(tile) for tile in range(coded.tiles)]
+    lengths = [coded.stream_bytes(tile) for tile in range(coded.tiles)]
     arrays = {"extents": np.array(extents, np.uint16), "lengths": np.array(lengths, np.uint32)}
     for name, model in zip(("parameters", "residual"), coded.models, strict=True):
         if coded.design.model or name == "residual":
@@ -129,7 +129,7 @@ def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
     }
 
 
-def wavelet_arrays(coded: Coded) -> dict[str, np.ndarray]:
+def wavelet_arrays(coded: CodedReader) -> dict[str, np.ndarray]:
     """Return one level of synthesis per length in use, lengths of the basis vectors, transforms along the views."""
     design = coded.design
     extents = [extent for extent in coded.extents if extent.length]
@@ -143,7 +143,7 @@ def wavelet_arrays(coded: Coded) -> dict[str, np.ndarray]:
     return arrays
 
 
-def plane_arrays(name: str, plane: Plane) -> dict[str, np.ndarray]:
+def plane_arrays(name: str, plane: PlaneTransform) -> dict[str, np.ndarray]:
     """Return sparse rows of each level's synthesis, and lengths of its basis vectors, for both axes of a plane."""
     arrays = {}
     for axis in (plane.down, plane.across):
@@ -167,7 +167,7 @@ def stream_parts(decoded: DecodedObject) -> Iterator[tuple[dict[str, Any], bytes
     for (kind, coded), streams in ((("parameters", residual), slice(0, 1)), (of_views, slice(1, None))):
         first, held = 0, []
         for tile in range(coded.tiles):
-            held.append(b"".join(coded.stream(tile, n) for n in range(len(coded.stored(tile)))[streams]))
+            held.append(b"".join(coded.stream(tile, n) for n in range(len(coded.stream_bytes(tile)))[streams]))
             if sum(map(len, held)) >= PART_BYTES or tile + 1 == coded.tiles:
                 yield {"name": f"{kind}-{first}", "first": first, "stop": tile + 1}, b"".join(held)
                 first, held = tile + 1, []

@@ -31,7 +31,7 @@ from nishiki.report.viewer.encoding import (
     shading_features,
 )
 from nishiki.report.viewer.page import Blocks, webp, webp_stack, write_page
-from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid, filled, height_block
+from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid, fill_unknown, height_block
 from nishiki.stages.painting_maps import PaintingMaps, captured_lamp, each_map, predict_light
 from nishiki.threads import strips
 
@@ -55,7 +55,7 @@ def run(context: Context) -> dict:
     blocks = Blocks(context.output, inline_bytes=int(context.settings.inline_mb * 1e6))
     steps, step = FINE if rows * columns <= FINE_PIXELS else COARSE, context.settings.step
     band_rows = max(4, min(256, BAND_PIXELS // columns // 4 * 4))
-    code = PaintingCode.of(maps, band_rows, steps if step == "auto" else steps.scaled(step))
+    code = PaintingCode.of(maps, band_rows, steps if step == "auto" else steps.scale(step))
 
     regions: set[bool] = set()
 
@@ -87,7 +87,7 @@ def run(context: Context) -> dict:
         "cmf": cie_1931_cmfs().T.tolist(),
         "illuminants": illuminants(context.inputs["ingest"]),
         "gloss": gloss_of(maps),
-        "code": code.described(),
+        "code": code.describe(),
         "tiles": {
             "size": TILE,
             "border": BORDER,
@@ -134,18 +134,18 @@ def layers_of(inputs: dict[str, Artifact], blocks: Blocks) -> list[dict[str, Any
     ]
     for name, unit, stage, key, factor in sources:
         if stage in maps:
-            layers.append(_measured(name, unit, factor * _reduced(maps[stage], key), blocks))
+            layers.append(_quantise_map(name, unit, factor * _reduce_map(maps[stage], key), blocks))
     if "evaluate" in maps:
         difference = _mean_difference(maps["evaluate"], len(inputs["ingest"].diagnostics.get("lights", ())))
         if difference is not None:
-            layers.append(_measured("delta_e", "CIEDE2000", difference, blocks))
-    layers.append(_counted("lights_used", "lights", "grey", normals, blocks))
+            layers.append(_quantise_map("delta_e", "CIEDE2000", difference, blocks))
+    layers.append(_sample_counts("lights_used", "lights", "grey", normals, blocks))
     if any(count for name, count in inputs["normals"].diagnostics.items() if name.startswith("flagged_")):
-        layers.append(_counted("flags", "", "flags", normals, blocks))
+        layers.append(_sample_counts("flags", "", "flags", normals, blocks))
     return layers
 
 
-def _reduced(maps: Maps, key: str, how: Literal["mean", "middle"] = "mean") -> np.ndarray:
+def _reduce_map(maps: Maps, key: str, how: Literal["mean", "middle"] = "mean") -> np.ndarray:
     """Reduce a map over blocks to at most `MOST_PIXELS`; a mean is NaN where nothing is known."""
     shape = maps.group[key].shape[:2]
     block = int(np.ceil(np.sqrt(shape[0] * shape[1] / MOST_PIXELS)))
@@ -154,14 +154,14 @@ def _reduced(maps: Maps, key: str, how: Literal["mean", "middle"] = "mean") -> n
 
 def _mean_difference(maps: Maps, lights: int) -> np.ndarray | None:
     """Compute the mean colour difference over the held-out lights, NaN where none was compared."""
-    parts = [_reduced(maps, name) for name in (f"de00_{light:03d}" for light in range(lights)) if name in maps]
+    parts = [_reduce_map(maps, name) for name in (f"de00_{light:03d}" for light in range(lights)) if name in maps]
     if not parts:
         return None
     count = np.isfinite(parts).sum(axis=0)
     return np.where(count > 0, np.nansum(parts, axis=0) / np.maximum(count, 1), np.nan)
 
 
-def _measured(name: str, unit: str, values: np.ndarray, blocks: Blocks) -> dict[str, Any]:
+def _quantise_map(name: str, unit: str, values: np.ndarray, blocks: Blocks) -> dict[str, Any]:
     """Quantise values within their range; those beyond its ends take its ends."""
     known = np.isfinite(values)
     low, high = np.percentile(values[known], (100 - FARTHEST, FARTHEST)) if known.any() else (0.0, 1.0)
@@ -170,9 +170,9 @@ def _measured(name: str, unit: str, values: np.ndarray, blocks: Blocks) -> dict[
     return _written(name, unit, "grey", np.where(known, codes, UNKNOWN).astype(np.uint8), (low, high), blocks)
 
 
-def _counted(name: str, unit: str, colours: str, maps: Maps, blocks: Blocks) -> dict[str, Any]:
+def _sample_counts(name: str, unit: str, colours: str, maps: Maps, blocks: Blocks) -> dict[str, Any]:
     """Return whole numbers, the pixel in the middle of every block."""
-    values = _reduced(maps, name, "middle")
+    values = _reduce_map(maps, name, "middle")
     high = LARGEST if colours == "flags" else max(int(values.max()), 1)
     top = max(high, LARGEST)  # more than 254 lights share codes
     codes = np.rint(np.minimum(values, top) * (LARGEST / top)).astype(np.uint8)
@@ -255,7 +255,7 @@ class PaintingCode:
         values : (rows, columns, fields) float32, records or means of them.
         """
         known = values[..., 0] >= 0.5
-        content = filled(values[..., 1:-1], values[..., 0] > 0)
+        content = fill_unknown(values[..., 1:-1], values[..., 0] > 0)
         normals = content[..., :3]
         length = np.sqrt((normals**2).sum(axis=-1, keepdims=True))
         normals = np.where(length > 1e-3, normals / np.maximum(length, 1e-3), np.array([0, 0, 1], np.float32))
@@ -263,12 +263,12 @@ class PaintingCode:
         planes += self.shading.encode(content[..., 3 + self.channels :]) if self.shading else []
         return [*planes, np.where(known, values[..., -1], UNKNOWN).astype(np.uint8)]
 
-    def described(self) -> dict[str, Any]:
+    def describe(self) -> dict[str, Any]:
         """Return the parameters for the manifest."""
         return {
-            "normal": self.normal.described(),
-            "colour": self.colour.described(),
-            "shading": self.shading.described() if self.shading else None,
+            "normal": self.normal.describe(),
+            "colour": self.colour.describe(),
+            "shading": self.shading.describe() if self.shading else None,
         }
 
 

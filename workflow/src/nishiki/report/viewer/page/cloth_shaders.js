@@ -138,7 +138,7 @@ ${ENHANCE}${REACHES}void main() {
   result = vec4(light, 1) * faded;
 }`;
 
-/** From linear light to the canvas, over white (nishiki.render.display.developed with its shoulder). */
+/** From linear light to the canvas, over white (nishiki.render.display.develop with its shoulder). */
 export const DEVELOP_FRAGMENT = `
 uniform sampler2D picture;
 uniform float exposure;

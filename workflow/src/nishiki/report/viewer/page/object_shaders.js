@@ -147,7 +147,7 @@ in vec3 colour;
 out vec4 result;
 void main() { result = vec4(colour, 1); }`;
 
-/** From linear light to the canvas, over an even background (nishiki.render.display.developed). At the object's edge the
+/** From linear light to the canvas, over an even background (nishiki.render.display.develop). At the object's edge the
  * light is carried on by one pixel (nishiki.render.object.pixels.extend) and weighted with the part that is covered. */
 export const DISPLAY_FRAGMENT = `${ENCODING}
 uniform sampler2D picture, coverage, overlay;
