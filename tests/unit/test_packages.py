@@ -101,10 +101,9 @@ def test_optional_packages_are_taken_where_this_list_says():
 
 @pytest.mark.parametrize("command", ["nishiki.cli", "nishiki.commands.inspecting"])
 def test_the_command_line_loads_nothing_heavy(command):
-    code = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import {command}; from nishiki.installation import list_loaded"
-    done = subprocess.run(
-        [sys.executable, "-c", f"{code}; print(*list_loaded())"], capture_output=True, text=True, check=True
-    )
+    found = "from nishiki.installation import list_loaded; print(*list_loaded())"
+    code = f"import sys; sys.path.insert(0, {str(SOURCE)!r}); import {command}; {found}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert set(done.stdout.split()) <= (set() if command.endswith("cli") else LIGHT)
 
 

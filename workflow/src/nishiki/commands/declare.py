@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
-from nishiki.errors import require
-from nishiki.installation import COMMAND
+from nishiki.errors import UserError, require
+from nishiki.installation import COMMAND, PROFILES, install_extras
 
 CONFIGURATION = "config/config.yaml"
 
@@ -129,3 +129,39 @@ scene_argument = click.argument("scene", shell_complete=names_of_scenes, help="n
 any_scene_argument = click.argument(
     "scene", required=False, shell_complete=names_of_scenes, help="name of a scene (default: all)"
 )
+
+
+def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Path]] = ()) -> list[str]:
+    """Return Snakemake's arguments for a shipped profile or a profile folder, with the machine's share of a local one.
+
+    scenes: manifests of each scene's artifacts, where stages may get one thread each so that scenes run side by side.
+
+    Raises UserError where there is no such profile, or where the plugin that it needs is not installed.
+    """
+    import importlib.util
+
+    from nishiki.engine.project import load_yaml
+    from nishiki.engine.workflow import memory_arguments, thread_arguments
+
+    folder = profile_folder(name)
+    if not (folder / "config.yaml").is_file():
+        known = ", ".join(sorted(path.name for path in PROFILES.iterdir()))
+        raise UserError(f"--profile {name}: no such profile; known: {known}, or a folder that holds a config.yaml")
+    options, arguments = load_yaml(folder / "config.yaml"), ["--workflow-profile", str(folder)]
+    if name == "default":  # Snakemake would name the profile on the screen
+        arguments = ["--workflow-profile", "none"]
+        for key, value in options.items():
+            arguments += [f"--{key}"] if value is True else [f"--{key}", str(value)]
+    executor = str(options.get("executor", "local"))
+    if executor != "local":
+        plugin = f"snakemake_executor_plugin_{executor.replace('-', '_')}"
+        if importlib.util.find_spec(plugin) is None:
+            remedy = install_extras(executor)
+            raise UserError(f"--profile {name}: the plugin for {executor} is not installed. Remedy: {remedy}")
+        return arguments + (["--cores", cores] if cores else [])
+    return [*arguments, *memory_arguments(), *thread_arguments(cores, scenes), "--cores", cores or "all"]
+
+
+def profile_folder(name: str) -> Path:
+    """Return the folder of a shipped profile, or the folder that is named."""
+    return PROFILES / name if (PROFILES / name).is_dir() else Path(name)

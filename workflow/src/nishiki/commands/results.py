@@ -19,6 +19,7 @@ from nishiki.commands.declare import (
     any_scene_argument,
     command,
     option,
+    profile_arguments,
     scene_argument,
     with_configuration,
     with_cores,
@@ -26,7 +27,6 @@ from nishiki.commands.declare import (
     with_profile,
 )
 from nishiki.commands.inspecting import expect_packages, planned_workflow
-from nishiki.commands.running import profile_arguments
 from nishiki.errors import UserError, require, unknown_scene
 from nishiki.formats.files import put_file
 from nishiki.installation import optional

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import time
 import webbrowser
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import click
@@ -17,13 +17,15 @@ from nishiki.commands.declare import (
     command,
     names_of_scenes,
     option,
+    profile_arguments,
+    profile_folder,
     with_configuration,
     with_cores,
     with_gone,
     with_profile,
 )
 from nishiki.errors import UserError
-from nishiki.installation import INSTALLED, PROFILES, PROJECT, SCRIPTS
+from nishiki.installation import INSTALLED, PROJECT, SCRIPTS
 
 NAMED = 20
 """Most unfinished or failed scenes that are printed by name."""
@@ -173,43 +175,6 @@ def _announce(flow) -> None:
             about = describe_capture(plan.facts)
             text = f"{scene}: {about}; {len(stages)} stages to run, about {seconds} of one processor"
             print(text, file=sys.stderr, flush=True)
-
-
-def profile_arguments(name: str, cores: str | None, scenes: Iterable[Iterable[Path]] = ()) -> list[str]:
-    """Return Snakemake's arguments for a shipped profile or a profile folder, with the machine's share of a local one.
-
-    scenes: manifests of each scene's artifacts, where stages may get one thread each so that scenes run side by side.
-
-    Raises UserError where there is no such profile, or where the plugin that it needs is not installed.
-    """
-    import importlib.util
-
-    from nishiki.engine.project import load_yaml
-    from nishiki.engine.workflow import memory_arguments, thread_arguments
-    from nishiki.installation import install_extras
-
-    folder = profile_folder(name)
-    if not (folder / "config.yaml").is_file():
-        known = ", ".join(sorted(path.name for path in PROFILES.iterdir()))
-        raise UserError(f"--profile {name}: no such profile; known: {known}, or a folder that holds a config.yaml")
-    options, arguments = load_yaml(folder / "config.yaml"), ["--workflow-profile", str(folder)]
-    if name == "default":  # Snakemake would name the profile on the screen
-        arguments = ["--workflow-profile", "none"]
-        for key, value in options.items():
-            arguments += [f"--{key}"] if value is True else [f"--{key}", str(value)]
-    executor = str(options.get("executor", "local"))
-    if executor != "local":
-        plugin = f"snakemake_executor_plugin_{executor.replace('-', '_')}"
-        if importlib.util.find_spec(plugin) is None:
-            remedy = install_extras(executor)
-            raise UserError(f"--profile {name}: the plugin for {executor} is not installed. Remedy: {remedy}")
-        return arguments + (["--cores", cores] if cores else [])
-    return [*arguments, *memory_arguments(), *thread_arguments(cores, scenes), "--cores", cores or "all"]
-
-
-def profile_folder(name: str) -> Path:
-    """Return the folder of a shipped profile, or the folder that is named."""
-    return PROFILES / name if (PROFILES / name).is_dir() else Path(name)
 
 
 def _tell(flow, seconds: float) -> None:

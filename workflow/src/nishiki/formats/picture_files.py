@@ -20,7 +20,7 @@ from nishiki.formats.coding import (
     icc_profile,
     png_coding,
 )
-from nishiki.formats.problems import CaptureError, error, refuse
+from nishiki.formats.problems import CaptureError, error
 
 MOST_BYTES = 1 << 16  # of the Exif block of a JPEG or PNG: a JPEG segment holds no more
 _FACTS = (272, 274, 33434, 33437, 34665, 34855)  # model, orientation, exposure, aperture, Exif directory, sensitivity
@@ -234,32 +234,6 @@ def unsupported_error(name: str, found: str, remedy: str = AS_RGB) -> CaptureErr
     """Make the error for a valid picture of an unsupported kind."""
     what = "a kind of picture that is not read"
     return CaptureError(error("image-unsupported", name, what, found=found, remedy=remedy))
-
-
-def open_picture(file: BinaryIO, suffix: str, name: str) -> Picture:
-    """Open a picture by its content, camera raw by its suffix."""
-    file.seek(0)
-    start = file.read(32)
-    if suffix.lower() in RAW_SUFFIXES:
-        from nishiki.formats.decoders import open_raw
-
-        return open_raw(file, name)
-    if start.startswith(b"\x89PNG\r\n\x1a\n"):
-        return open_png(file)
-    if start.startswith(b"\xff\xd8"):
-        return open_jpeg(file, name)
-    if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
-        from nishiki.formats.decoders import open_tiff
-
-        return open_tiff(file, name)
-    if start.startswith(b"\x76\x2f\x31\x01"):
-        from nishiki.formats.decoders import open_exr
-
-        return open_exr(file, name)
-    expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
-    found = f"{start[:8]!r}" if start else "an empty file"
-    remedy = "Copy the file again from the camera or the archive, or move it away"
-    refuse("image-unreadable", name, "not an image", expected=expected, found=found, remedy=remedy)
 
 
 def open_png(file: BinaryIO) -> Picture:

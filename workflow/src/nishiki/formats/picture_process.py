@@ -26,8 +26,8 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from nishiki.formats.files import read_bytes
-from nishiki.formats.picture_files import ImageHeader, Wanted, header_from, open_picture
-from nishiki.formats.problems import CaptureError, Problem, error
+from nishiki.formats.picture_files import RAW_SUFFIXES, ImageHeader, Picture, Wanted, header_from, open_jpeg, open_png
+from nishiki.formats.problems import CaptureError, Problem, error, refuse
 
 LEAST_MEMORY = 512 << 20  # bytes of address space beyond the idle child's: libraries, a file's directory
 THREAD_MEMORY = 16 << 20  # bytes of address space for each processor: libraries start a thread for each
@@ -298,3 +298,29 @@ def _array(shape: list[int], values: list[Any]) -> np.ndarray:
     for i, value in enumerate(values):
         array[i] = _array(*value) if cells else value
     return array.reshape(shape, order="F")
+
+
+def open_picture(file: BinaryIO, suffix: str, name: str) -> Picture:
+    """Open a picture by its content, camera raw by its suffix."""
+    file.seek(0)
+    start = file.read(32)
+    if suffix.lower() in RAW_SUFFIXES:
+        from nishiki.formats.decoders import open_raw
+
+        return open_raw(file, name)
+    if start.startswith(b"\x89PNG\r\n\x1a\n"):
+        return open_png(file)
+    if start.startswith(b"\xff\xd8"):
+        return open_jpeg(file, name)
+    if start[:4] in (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"):
+        from nishiki.formats.decoders import open_tiff
+
+        return open_tiff(file, name)
+    if start.startswith(b"\x76\x2f\x31\x01"):
+        from nishiki.formats.decoders import open_exr
+
+        return open_exr(file, name)
+    expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
+    found = f"{start[:8]!r}" if start else "an empty file"
+    remedy = "Copy the file again from the camera or the archive, or move it away"
+    refuse("image-unreadable", name, "not an image", expected=expected, found=found, remedy=remedy)

@@ -8,7 +8,7 @@ import numpy as np
 
 from nishiki.simulate.capture import FINE_NM
 from nishiki.simulate.painting.picture import BRANCHES, CanvasMap, branch_curve, plan_landscape
-from nishiki.simulate.painting.relief import level_out, pixel_maps, weave_under_paint
+from nishiki.simulate.painting.relief import SimulatedObject, level_out, pixel_maps, weave_under_paint
 from nishiki.simulate.painting.settings import REGION, REGIONS, Palette, SimulationSettings, make_palette
 from nishiki.simulate.randomness import fractal_noise, line_noise, plane_noise, subkey
 from nishiki.threads import strips
@@ -160,22 +160,6 @@ def apply_strokes(paint: np.ndarray, label: np.ndarray, plan: CanvasMap, strokes
 
 
 PICTURE_HEIGHT_MM = 77.0  # the brushes were chosen for a picture of this height
-
-
-@dataclass(frozen=True)
-class SimulatedObject:
-    """A simulated object. Samples are finer than camera pixels by the supersampling s."""
-
-    height_mm: np.ndarray  # (rows·s, columns·s) float32
-    label: np.ndarray  # (rows·s, columns·s) uint8, paint of each sample
-    palette: Palette  # the paints (spectra at `FINE_NM`)
-    # (rows, columns, 2) float32 slopes of the varnish against the paint; on camera pixels: normals (rows, columns,
-    # 3), mean_height_mm and steepest (radians), float32
-    waves: np.ndarray
-    normals: np.ndarray
-    mean_height_mm: np.ndarray
-    steepest: np.ndarray
-    ceiling_mm: float  # highest point
 
 
 def make_object(settings: SimulationSettings) -> SimulatedObject:

@@ -23,8 +23,8 @@ from nishiki.simulate.capture import (
     write_description,
     write_image,
 )
-from nishiki.simulate.painting.objects import SimulatedObject, make_object
-from nishiki.simulate.painting.relief import shade
+from nishiki.simulate.painting.objects import make_object
+from nishiki.simulate.painting.relief import SimulatedObject, shade
 from nishiki.simulate.painting.settings import (
     PRESETS,
     REGIONS,

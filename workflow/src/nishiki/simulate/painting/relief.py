@@ -4,21 +4,33 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 
-from nishiki.simulate.painting.settings import LampPose, SimulationSettings
+from nishiki.simulate.painting.settings import LampPose, Palette, SimulationSettings
 from nishiki.simulate.reflection import ggx_gloss, rough_body
 from nishiki.threads import over_rows, strips
-
-if TYPE_CHECKING:
-    from nishiki.simulate.painting.objects import SimulatedObject
 
 THREAD_MM = 1.15  # distance of neighbouring threads
 WEAVE_MM = 0.055  # height of a thread's crest over its trough
 HIDING_MM = 0.20  # paint of this thickness hides the weave to 1/e
+
+
+@dataclass(frozen=True)
+class SimulatedObject:
+    """A simulated object. Samples are finer than camera pixels by the supersampling s."""
+
+    height_mm: np.ndarray  # (rows·s, columns·s) float32
+    label: np.ndarray  # (rows·s, columns·s) uint8, paint of each sample
+    palette: Palette  # the paints (spectra at `FINE_NM`)
+    # (rows, columns, 2) float32 slopes of the varnish against the paint; on camera pixels: normals (rows, columns,
+    # 3), mean_height_mm and steepest (radians), float32
+    waves: np.ndarray
+    normals: np.ndarray
+    mean_height_mm: np.ndarray
+    steepest: np.ndarray
+    ceiling_mm: float  # highest point
 
 
 def weave_under_paint(paint_mm: np.ndarray, *, step_mm: float, scale: float = 1.0) -> np.ndarray:
