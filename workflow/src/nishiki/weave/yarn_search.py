@@ -8,6 +8,7 @@ cloth has its weight: priors of the yarns (NAMES, CENTRE, SPREAD), and UNUSUAL f
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import groupby
 
 import numpy as np
 
@@ -225,30 +226,23 @@ def search_yarns(
 
     spacing_ratio: of weft yarns over warp yarns, where the threads were counted.
     """
-    fit = partial(fit_binding, spacing_ratio=spacing_ratio)
-    few = samples_of(measured, views=SHORT[0])
-
-    def on(one: YarnFit, evaluations: int) -> YarnFit:
-        return fit(few, one.binding, start=one.x, density=COARSE, evaluations=evaluations)
-
+    few, many = (samples_of(measured, views=views) for views, _ in (SHORT, LONG))
+    fit = partial(fit_binding, few, spacing_ratio=spacing_ratio, density=COARSE)
     short: list[YarnFit] = []
     least, since = np.inf, 0
-    by_harness: dict[int, list[Binding]] = {}
-    for binding in candidates:
-        by_harness.setdefault(binding.harness, []).append(binding)
-    for same in by_harness.values():
-        fits = sorted((fit(few, one, density=COARSE, evaluations=FIRST) for one in same), key=lambda one: one.cost)
-        fits[: REFINED[0]] = [on(one, SHORT[1]) for one in fits[: REFINED[0]]]
+    for _, same in groupby(candidates, key=lambda one: one.harness):
+        fits = sorted((fit(one, evaluations=FIRST) for one in same), key=lambda one: one.cost)
+        fits[: REFINED[0]] = [fit(one.binding, start=one.x, evaluations=SHORT[1]) for one in fits[: REFINED[0]]]
         short += fits
         cost = min(one.cost for one in fits)
         least, since = min(least, cost), since + 1 if cost > least + 2 * LIKE else 0
         if since == LAST:
             break
     short.sort(key=lambda one: one.cost)
-    short[: REFINED[1]] = [on(one, NEXT) for one in short[: REFINED[1]]]
+    short[: REFINED[1]] = [fit(one.binding, start=one.x, evaluations=NEXT) for one in short[: REFINED[1]]]
     short.sort(key=lambda one: one.cost)
-    many = samples_of(measured, views=LONG[0])
-    long = [fit(many, one.binding, start=one.x, evaluations=LONG[1]) for one in short[: REFINED[2]]]
+    fit = partial(fit_binding, many, spacing_ratio=spacing_ratio, evaluations=LONG[1])
+    long = [fit(one.binding, start=one.x) for one in short[: REFINED[2]]]
     long.sort(key=lambda one: one.cost)
     like = [one for one in long if one.cost < long[0].cost + LIKE]
     best = next((one for one in like if one.binding in USUAL), long[0])
