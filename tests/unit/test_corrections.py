@@ -278,9 +278,17 @@ def test_a_photograph_that_the_others_contradict_is_left_out(clean, tmp_path, ki
     assert [p.file for p in problems if p.kind == "photograph-contradicts"] == ["frames/p04.png"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["uw_cat", "uw_owl", "uw_horse", "uw_gray", "diligent_ball", "diligent_cat"])
 def test_sound_photographs_contradict_nothing(data, tmp_path, name):
     convert(data / name, tmp_path / "c")
+    assert "photograph-contradicts" not in {p.kind for p in check_capture(tmp_path / "c", level="full")}
+
+
+@pytest.mark.slow
+def test_many_photographs_that_contradict_the_others_are_not_accused(data, tmp_path):
+    """On this part of the fossil 8 of 41 lamps look 20 degrees off: cast shadows are long under a dome's lowest lamps."""
+    convert(data / "rti_fossil", tmp_path / "c", region=(1088, 1856, 384, 384))
     assert "photograph-contradicts" not in {p.kind for p in check_capture(tmp_path / "c", level="full")}
 
 

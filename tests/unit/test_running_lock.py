@@ -20,8 +20,8 @@ SOURCE = Path(__file__).resolve().parents[2] / "workflow/src"
 HOLD = """
 import sys, time
 from pathlib import Path
-from nishiki.engine.running_lock import registered
-with registered(Path("results"), sys.argv[1].split(",")) as held:
+from nishiki.engine.running_lock import register_run
+with register_run(Path("results"), sys.argv[1].split(",")) as held:
     {inside}
 """
 WAIT = "print('ready', flush=True); time.sleep(60)"
