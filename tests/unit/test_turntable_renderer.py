@@ -247,6 +247,27 @@ def test_pictures_lend_what_they_differ_from_the_model_to_views_between(channels
     assert np.abs(at - want)[inner].mean() < 0.2 * np.abs(alone - want)[inner].mean()
 
 
+def test_places_turned_away_from_the_camera_take_what_the_picture_shows_beside_them():
+    residual = DomeResidual(2 * len(ANGLES))
+    shown = [encode(picture_of(make(residual=residual), k).linear, "srgb") for k in range(len(ANGLES))]
+    residual.pictures = Photographed(shown, np.zeros((100, 110), bool))
+    made = make(residual=residual)
+    shot = made.between(1, 0.3)
+    want = next(made.render([shot]))
+    folded = (np.abs(made.mesh.vertices[:, :2]) < 0.15).all(axis=1)
+    assert folded.any()
+    made.mesh = replace(made.mesh, normals=np.where(folded[:, None], -1, 1) * made.mesh.normals)
+    got = next(made.render([shot]))
+    away = (got.linear != want.linear).any(axis=-1)
+    assert 20 < away.sum() < 400
+    around = cv2.dilate(away.astype(np.uint8), np.ones((15, 15))) > 0
+    assert np.abs(got.linear - want.linear)[away].mean() < np.ptp(want.linear[around & ~away], axis=0).mean()
+    assert (got.covered == want.covered).all()
+    captured = made.captured(1)  # a photograph shows what is there
+    made_so = make(residual=residual)
+    np.testing.assert_array_equal(*(next(each.render([captured])).linear for each in (made, made_so)))
+
+
 def test_the_surface_throws_shadows_between_views():
     made = make()
     lamp = Lighting("direction", ((0.95, 0.0, 0.312),)).lamp(view(0.0))

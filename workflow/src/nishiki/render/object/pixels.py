@@ -43,10 +43,10 @@ def mix(residual: np.ndarray, visible: np.ndarray, weights: np.ndarray) -> np.nd
     return np.einsum("nm,nmc->mc", share.astype(np.float32), residual)
 
 
-def extend(values: np.ndarray, covered: np.ndarray, *, rings: int) -> np.ndarray:
+def extend(values: np.ndarray, covered: np.ndarray, *, rings: int, within: np.ndarray | None = None) -> np.ndarray:
     """Extrapolate values (rows, columns, channels) float32 beyond the covered pixels by `rings` pixels.
 
-    In place; reached (rows, columns) bool: covered or filled.
+    In place; reached (rows, columns) bool: covered or filled. within: the pixels that may be filled, all if None.
 
     A pixel at the silhouette's edge whose centre just misses the surface shows some of it all the same; left empty, it
     would be a dark rim. A pixel is the mean of its known neighbours, diagonal ones at half weight, each continued away
@@ -57,6 +57,7 @@ def extend(values: np.ndarray, covered: np.ndarray, *, rings: int) -> np.ndarray
     reached = covered.copy()
     for _ in range(rings):
         border = cv2.dilate(reached.astype(np.uint8), np.ones((3, 3), np.uint8)) > reached
+        border &= True if within is None else within
         i, j = np.nonzero(border)
         known = np.pad(reached, 2)
         sums, weight = np.zeros((len(i), values.shape[2])), np.zeros((len(i), 1))

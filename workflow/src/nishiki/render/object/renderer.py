@@ -24,7 +24,7 @@ from nishiki.colour.colour import encode
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import camera_between, fit_turn, scale_camera
-from nishiki.geometry.visibility import interpolate, rasterise
+from nishiki.geometry.visibility import Raster, interpolate, rasterise
 from nishiki.render.display import develop
 from nishiki.render.object.pixels import DepthMaps, bilinear, extend, mix
 from nishiki.render.object.shots import (
@@ -47,6 +47,9 @@ if TYPE_CHECKING:
 
 OTHER_LIGHT = np.float32(0.02)  # weight of a view in which a texel is in the light and here is not, or the other way
 MOST_PLACES = 1 << 14  # in one look-up by OpenCV, which takes fewer than 2**15
+FOLD_PX = 12
+"""Pixels by which a picture is carried over places turned away from the camera: folds of a hull, and steps that it has
+in place of a hollow's rim. No photograph shows them, and the model is black there."""
 BATCH_BYTES = 32 << 20  # of pictures in hand while all decoded tiles fit into the cache
 LARGE_BATCH_BYTES = 384 << 20  # once they do not: a tile is decoded again for each batch
 CACHE_BYTES = 256 << 20
@@ -277,6 +280,10 @@ class ObjectRenderer:
             linear[prepared.pixels] += np.float32(weight) * np.clip(seen, 0, highest, dtype=np.float32)
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0
+        if shot.captured is None and self.pictures is not None:
+            away = covered & ~self._faces(raster, shot.camera)
+            extend(linear, covered & ~away, rings=FOLD_PX, within=away)
+            np.clip(linear, 0, highest * sum(abs(weight) for _, weight in shot.lights), out=linear)
         reached = extend(linear, covered, rings=self.rim)
         if shot.captured is not None and self.pictures is not None:
             for place, (light, weight) in enumerate(shot.lights):
@@ -290,6 +297,15 @@ class ObjectRenderer:
         highest *= sum(abs(weight) for _, weight in shot.lights)
         np.clip(linear, 0, highest, out=linear, where=(reached & ~covered)[..., None])
         return ObjectPicture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
+
+    def _faces(self, raster: Raster, camera: Camera) -> np.ndarray:
+        """Test (rows, columns) where the normal is turned to the camera: elsewhere the surface that shows is wrong."""
+        shown = (
+            interpolate(values, self.mesh.triangles, raster.triangle, raster.barycentric)
+            for values in (self.mesh.vertices, self.mesh.normals)
+        )
+        points, normals = shown
+        return np.einsum("ijk,ijk->ij", camera.centre - points, normals) > 0
 
     def normals(self, picture: ObjectPicture, camera: Camera) -> np.ndarray:
         """Return unit normals (rows, columns, 3) float32 as the camera sees them (x right, y up, z to it), else 0."""
