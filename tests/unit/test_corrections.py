@@ -287,9 +287,34 @@ def test_sound_photographs_contradict_nothing(data, tmp_path, name):
 
 @pytest.mark.slow
 def test_many_photographs_that_contradict_the_others_are_not_accused(data, tmp_path):
-    """On this part of the fossil 8 of 41 lamps look 20 degrees off: cast shadows are long under a dome's lowest lamps."""
+    """On this part of the fossil 8 of 41 lamps look 20 degrees off: cast shadows are long under low lamps."""
     convert(data / "rti_fossil", tmp_path / "c", region=(1088, 1856, 384, 384))
     assert "photograph-contradicts" not in {p.kind for p in check_capture(tmp_path / "c", level="full")}
+
+
+def write_boards(folder, levels):
+    """Boards of the lamps, each of a level at every pixel."""
+    return write_set(folder, [np.full((ROWS, COLUMNS, 3), level) for level in levels])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("factor", "named"), [(1.0, set()), (0.5, {4}), (0.08, {4})])
+def test_one_board_of_another_level_is_named(tmp_path, factor, named):
+    source = write_set(tmp_path / "s", [seen(light) for light in lamps()])
+    levels = 0.8 * lamps()[:, 2] * np.where(np.arange(LAMPS) == 4, factor, 1)
+    convert(source, tmp_path / "c", white=write_boards(tmp_path / "w", levels))
+    problems = check_capture(tmp_path / "c", level="full")
+    found = {p.file for p in problems if p.kind == "white-disagrees"}
+    assert found == {f"frames/p{j:02d}.png" for j in named}
+
+
+@pytest.mark.parametrize(("level", "refused"), [(0.01, False), (0.05, True), (None, True)])
+def test_dark_frames_that_hold_light_are_refused(tmp_path, level, refused):
+    source = write_set(tmp_path / "s", [0.01 + 0.9 * seen(light) * (seen(light) > 0.2) for light in lamps()])
+    dark = seen(lamps()[3]) if level is None else np.full((ROWS, COLUMNS, 3), level)
+    write_set(tmp_path / "d", [dark], np.array([[0, 0, 1.0]]))
+    convert(source, tmp_path / "c", dark=tmp_path / "d")
+    assert ("dark-bright" in {p.kind for p in check_capture(tmp_path / "c", level="full")}) == refused
 
 
 def test_too_few_lamps_are_refused(tmp_path):

@@ -23,7 +23,7 @@ from nishiki.formats.files import walk
 from nishiki.formats.images import expect_channels, read_header
 from nishiki.formats.picture_files import ImageHeader
 from nishiki.formats.problems import CaptureError, Problem, error, warning
-from nishiki.observations.consistency import Judgement, ReducedPhotographs, judgement_problems
+from nishiki.observations.consistency import Judgement, ReducedPhotographs, dark_problems, judgement_problems
 from nishiki.observations.frames import FrameReader, attempt, examine_frames, unusable_coding
 from nishiki.observations.goniometer_store import look_at_windows, table_problems
 from nishiki.observations.linearise import CHECK_BLOCK, block_edges, count_unusable
@@ -117,9 +117,7 @@ def _same_directions(capture: Capture) -> list[Problem]:
 def _strength_problems(capture: Capture) -> list[Problem]:
     if capture.frames_of("white") or capture.intensities is not None:
         return []
-    what = (
-        "neither white boards nor lights.intensities: every lamp is taken to shine alike, and evenly over the picture"
-    )
+    what = "neither white boards nor lights.intensities: every lamp is taken to shine alike, and evenly"
     remedy = "Photograph a white board under every lamp; without, unequal lamps tilt the normals and tint the colours"
     return [warning("strengths-unknown", "capture.yaml", what, remedy=remedy)]
 
@@ -155,9 +153,8 @@ def _header_problems(capture: AnyCapture) -> tuple[list[Problem], AnyCapture, tu
     usual = next((h for file, h in headers.items() if file not in severe), next(iter(headers.values())))
     bits, held = capture.settings.camera.bits, {"uint8": 8, "uint16": 16}.get(usual.sample, 16)
     if bits and bits > held:
-        problems.append(
-            error("bits-differ", "capture.yaml camera.bits", "bits", expected=f"at most {held}", found=f"{bits}")
-        )
+        place = "capture.yaml camera.bits"
+        problems.append(error("bits-differ", place, "bits", expected=f"at most {held}", found=f"{bits}"))
     size = usual.rows, usual.columns
     if isinstance(capture, Capture):
         problems += attempt(lambda: (region_of(capture, *size), [])[1])
@@ -191,10 +188,8 @@ def _coding_problems(headers: dict[str, ImageHeader], encoding: str) -> list[Pro
         problems += _exceptions(names, "coding-differs", "coding differs", "Develop all photographs alike")
     else:
         what, remedy = "the files state another coding", "Set camera.encoding: file to decode them by what they state"
-        expected, found = f"{encoding}, as camera.encoding states", names[overruled[0]]
-        problems.append(
-            warning("encoding-overruled", overruled[0], what, expected=expected, found=found, remedy=remedy)
-        )
+        said = {"expected": f"{encoding}, as camera.encoding states", "found": names[overruled[0]]}
+        problems.append(warning("encoding-overruled", overruled[0], what, **said, remedy=remedy))
     turns = {file: header.exif.orientation for file, header in headers.items()}
     usual = Counter(turns.values()).most_common(1)[0][0]
     odd = [file for file, turn in turns.items() if turn != usual]
@@ -281,7 +276,7 @@ def _content_problems(
     judgement = reduced.judge()
     if judgement is not None:
         judged(judgement)
-    return reader.warnings() + problems + judgement_problems(judgement, capture)
+    return reader.warnings() + problems + dark_problems(reduced.darker) + judgement_problems(judgement, capture)
 
 
 def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tuple[DarkField, list[Problem]]:

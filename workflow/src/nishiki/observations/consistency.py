@@ -21,7 +21,7 @@ from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, board_cosine, points_mm
 from nishiki.observations.registration import MARGIN, Movement, Window, align_window, choose_places, measure_movement
 from nishiki.photometric.arrangement import Arrangement, arrange
-from nishiki.photometric.board_pairs import BoardPairs, pair_boards
+from nishiki.photometric.board_pairs import ALONE, BoardPairs, pair_boards
 from nishiki.photometric.consistency import (
     LEAST_AMBIENT,
     SURE,
@@ -29,12 +29,15 @@ from nishiki.photometric.consistency import (
     NearLamps,
     examine_photographs,
     measure_width,
+    probable_strengths,
 )
 
 LONGEST = 256  # pixels of a reduced photograph along its longer side: relief is coarser, texture mostly finer
 CELLS = 3  # a side, of a reduced pixel, whose codes are averaged before they are decoded: a curve is straight over them
 INSIDE = 0.95  # of a reduced pixel that must show the object
 LEAST_MISFIT = 0.02  # of a photograph that repeats another one: an even object looks alike under many lamps
+DARKER, UNLIKE, MOST_DARKER = 1 / 255, 0.2, 0.05  # of full scale and of the dark level, below which samples are darker
+# than dark frames: a code of 8 bits, and what sensors warm up; share of such samples that their noise does not reach
 LEAST_IMPROVEMENT = 0.07  # of the misfit that undoing a movement takes away: 0.11 and more for shifts of 1.2 pixels of
 # the measured sets, 0.055 on the fossil, whose low lamps shift the texture of its relief
 
@@ -75,7 +78,13 @@ class Judgement:
     @cached_property
     def pairs(self) -> BoardPairs | None:
         """Boards that belong to the photographs; None where there are none, or where undetermined."""
-        return None if self.boards is None else pair_boards(self.grey, self.boards, self.lamps)
+        pairs = None if self.boards is None else pair_boards(self.grey, self.boards, self.lamps)
+        found = self.consistency
+        if self.boards is None or pairs is not None or found is None or not found.holds(self.directions):
+            return pairs
+        logs, covariance = probable_strengths(found, self.directions)  # one board far off hides the order of all
+        excess = np.abs(logs) - np.maximum(ALONE, SURE * np.sqrt(np.diag(covariance)))
+        return BoardPairs(np.arange(len(logs)), logs, logs, (excess > 0) & (excess == excess.max()))
 
     @cached_property
     def near(self) -> NearLamps | None:
@@ -100,6 +109,7 @@ class ReducedPhotographs:
     boards: dict[int, np.ndarray] = field(default_factory=dict)
     windows: dict[int, list[np.ndarray]] = field(default_factory=dict)  # windows, files: of the photographs
     files: dict[int, str] = field(default_factory=dict)
+    darker: dict[str, float] = field(default_factory=dict)  # by file, share of the samples below the dark level
 
     def __post_init__(self):
         import cv2
@@ -119,10 +129,12 @@ class ReducedPhotographs:
         place = self.reader.capture.lights.find(frame.light)
         if place is None or frame.role not in ("sample", "check", "white"):
             return
-        values = self._reduce(codes[self.part]) - self.darks.at(frame.exposure_s).mean(axis=(0, 1))
+        dark = self.darks.at(frame.exposure_s).mean(axis=(0, 1))
+        values = self._reduce(codes[self.part]) - dark
         if frame.role == "white":
             self.boards[place] = values / (frame.exposure or 1.0)
             return
+        self.darker[frame.file] = float(np.mean(values < -np.maximum(UNLIKE * dark, DARKER)))
         if self.places is None:
             self.places = choose_places(np.nan_to_num(values.mean(axis=2)), self.inside, self.step, self.part)
         if self.gain is None:
@@ -176,13 +188,12 @@ class ReducedPhotographs:
         before = consistency = examine_photographs(values, lamps)
         moved, aligned = movement.moved, values
         if moved.any():
-            channels = [
-                align_window(self._whole(some), movement, replicate=False)[0] for some in np.moveaxis(values, 3, 0)
-            ]
+            each = np.moveaxis(values, 3, 0)
+            channels = [align_window(self._whole(some), movement, replicate=False)[0] for some in each]
             together = np.where(self.inside[:, :, None], np.stack(channels, axis=3), np.float32(np.nan))
             after = examine_photographs(together, lamps)
             # Highlights of a mirror move with the lamp: where nothing can be predicted, nothing is concluded.
-            residuals = [np.nansum(each.residual) for each in (before, after) if each is not None]
+            residuals = [np.nansum(one.residual) for one in (before, after) if one is not None]
             if len(residuals) == 2 and residuals[1] < (1 - LEAST_IMPROVEMENT) * residuals[0]:
                 aligned, consistency = together, after
             else:
@@ -259,6 +270,16 @@ class ReducedPhotographs:
         return to_lamp / distance * (usual / distance) ** 2
 
 
+def dark_problems(darker: dict[str, float]) -> list[Problem]:
+    """Refuse dark frames or a black level above the darkest parts of photographs; darker: see `ReducedPhotographs`."""
+    file = max(darker, key=lambda name: darker[name], default="")
+    if not darker or np.median(list(darker.values())) < MOST_DARKER:  # a single one may be black
+        return []
+    what = f"{100 * darker[file]:.0f} % of the photograph is darker than the dark frames or camera.black_level"
+    remedy = "Photograph the dark frames again with the lens capped, or leave them out"
+    return [error("dark-bright", file, what, remedy=remedy)]
+
+
 def movement_problems(judgement: Judgement, registers: bool | None = None) -> list[Problem]:
     """Warn of camera movement. registers: whether photographs are moved back; None where ingest decides that."""
     moved, movement = judgement.moved, judgement.movement
@@ -270,8 +291,7 @@ def movement_problems(judgement: Judgement, registers: bool | None = None) -> li
     found = f"{moved.sum()} of {len(moved)} ({listed}), {judgement.names[far]} most: {x:+.1f}, {y:+.1f} pixels"
     if movement.turn.any():
         found += f", turned by {np.degrees(movement.turn[far]):.2f} degrees"
-    what = "the camera moved between the photographs"
-    remedy = "Fasten the camera and the object more firmly"
+    what, remedy = "the camera moved between the photographs", "Fasten the camera and the object more firmly"
     if registers is False:
         remedy = "Set ingest.correct.registration: auto to move them back"
     else:

@@ -30,6 +30,7 @@ from nishiki.formats.stored import BandedGroup, chunk_path, write_chunk
 from nishiki.observations.consistency import (
     ReducedPhotographs,
     ambient_problems,
+    dark_problems,
     movement_problems,
     pair_problems,
     useless_photographs,
@@ -87,25 +88,12 @@ class Corrections:
 
 
 def find_corrections(reader: FrameReader, reduced: ReducedPhotographs, wishes: Wishes) -> Corrections:
-    """Measure the photographs of a plane against each other, and decide on corrections.
+    """Measure the photographs of a plane against each other, and decide on corrections; reduced: all observed ones.
 
-    Parameters
-    ----------
-    reader : FrameReader
-    reduced : ReducedPhotographs
-        With all observed photographs.
-    wishes : Wishes
-
-    Returns
-    -------
-    Corrections
-
-    Raises
-    ------
-    CaptureError
-        lights-few or lights-coplanar, where too few photographs remain.
+    Raises CaptureError: dark-bright; lights-few or lights-coplanar, where too few photographs remain.
     """
     capture, frames = reader.capture, reader.capture.observed
+    raise_errors(dark_problems(reduced.darker))
     judgement = reduced.judge([capture.lights.index(frame.light) for frame in frames])
     if judgement is None:
         motions, channels = dict(reader.motions), len(reader.names)
@@ -347,9 +335,8 @@ def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: Fra
 
 
 def _attributes(capture: Capture, reader: FrameReader, settings: Settings, band_rows: int) -> dict:
-    positions = None
-    if capture.settings.lights.kind == "position_mm":
-        positions = capture.lights.vectors[[capture.lights.index(f.light) for f in capture.observed]].tolist()
+    places = [capture.lights.index(frame.light) for frame in capture.observed]
+    positions = capture.lights.vectors[places].tolist() if capture.settings.lights.kind == "position_mm" else None
     row, column, _, _ = reader.region
     finite = np.isfinite(reader.saturated)
     linear_top = top = float(reader.saturated)
@@ -358,7 +345,7 @@ def _attributes(capture: Capture, reader: FrameReader, settings: Settings, band_
         linear_top = float(reader.table[int(top)])
     return {
         "format": FORMAT,
-        "lights": [capture.lights.names[capture.lights.index(f.light)] for f in capture.observed],
+        "lights": [capture.lights.names[place] for place in places],
         "files": [f.file for f in capture.observed],
         "roles": [f.role for f in capture.observed],
         "directions": capture.directions.tolist(),

@@ -46,7 +46,7 @@ FIRST, HOLD = 1.0, 0.001  # of the information on a gain, that it is 1: first fi
 FREE, FITS, TURNS = 2, 5, 4  # fits after which any order is taken, most fits, and assignments after each
 TWICE = 2.0  # times the usual error of the law: strengths and slopes of single measured sets exceed five of these
 COMMON = 100.0  # variance of the factor that all log gains share, which says nothing
-ALONE = np.log(2.5)  # log gain of one photograph from which it is named
+ALONE = np.log(1.6)  # log gain of one photograph from which it is named
 GRAZED, FACING = 0.3, 0.9  # cosines of the lamp beyond which shadows make a photograph darker, or gloss brighter
 
 
@@ -105,11 +105,10 @@ def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> Bo
         covariances[0] += fit.covariance / np.outer(fit.gains, fit.gains)
         for turn in range(TURNS):
             gains = shown - of_boards[:, order]
-            if fits + turn == 0:  # of which the mean is right in any order of the boards
-                rest = gains - gains.mean(axis=1, keepdims=True)
-            else:
-                rest = _subtract_course(gains, covariances, variance + LEAST_GAIN**2)
-            spread = np.maximum(variance + LEAST_GAIN**2, (1.4826 * np.median(np.abs(rest), axis=1)) ** 2)
+            rest, least = gains - gains.mean(axis=1, keepdims=True), variance + LEAST_GAIN**2
+            if fits + turn:  # at first the mean is right in any order of the boards
+                rest = _subtract_course(gains, covariances, least)
+            spread = np.maximum(least, (1.4826 * np.median(np.abs(rest), axis=1)) ** 2)
             levels = rest + of_boards[:, order]
             squares = np.square(levels[:, :, None] - of_boards[:, None, :]) / spread[:, None, None]
             cost = np.minimum(squares.sum(axis=0), SURE**2)

@@ -57,8 +57,8 @@ LEAST_TURN_DEG = 2.5  # by which far lamps turn the normals in the median: gloss
 FEWEST_JUDGED = 8  # photographs, among which one stands out: of 5 to 7, sound ones did
 # angle between a photograph's lamp as listed and as it shows: sound ones of measured sets reached 5.6 degrees
 STRANGE_DEG, DOUBTED = 6.0, 3.0  # and its standard errors: it is compared with the usual angle, too
-STRANGE_TURN, MISFITTING = 4.5, 2.0  # times the usual angle and misfit: sound ones of these sets reached 4.6 and 4.3
-STRANGE_MISFIT = 10.0  # times the usual misfit, whatever the angle
+# times the usual angle and misfit: sound ones of these sets reached 4.6 and 4.3; and times this misfit, at any angle
+STRANGE_TURN, MISFITTING, STRANGE_MISFIT = 4.5, 2.0, 10.0
 MOST_STRANGE = 0.1  # of the photographs: of a part of the fossil, 8 of 41 sound ones showed lamps 20 degrees off
 LAW_ERROR = 0.1  # of the width, by which rough and glossy matter shift it: 0 to 0.2 under a ring of lamps
 SURE = 5.0  # standard errors at which a difference counts: once in two million by chance
@@ -92,11 +92,10 @@ class Consistency:
         return bool(np.nanmedian(self.residual) < LARGEST_MISFIT) and is_even(self.gain, directions)
 
     def find_strangers(self, directions: np.ndarray) -> dict[int, float]:
-        """Find photographs that contradict the others: of another thing, lamp, place or coding.
+        """Find photographs that contradict the others, by number, with the angle (degrees) to the lamp that they show.
 
-        By number, the angle in degrees between the lamp of directions (lights, 3) and the one that explains the
-        photograph best. Gloss does the same near the mirror direction: what shows little else is not judged. Where more
-        than a tenth of the photographs are strange, the thing or the list of lamps is, and none is accused.
+        directions (lights, 3). Gloss does the same near the mirror direction: what shows little else is not judged.
+        Where more than a tenth of the photographs are strange, the thing or the list of lamps is: none is accused.
         """
         if len(directions) < FEWEST_JUDGED or not self.holds(directions):
             return {}
@@ -256,9 +255,10 @@ def probable_strengths(found: Consistency, directions: np.ndarray) -> tuple[np.n
 
 
 def is_even(gains: np.ndarray, directions: np.ndarray) -> bool:
-    """Check whether the lamps that burn are as equal as lamps are: metal under them shows some ten times as strong."""
-    burning = gains > FAINT
-    return bool(split_course(gains[burning], directions[burning])[0].std() < MOST_COURSE)
+    """Check whether lamps are as equal as lamps are, but for one of eight: metal shows some ten times as strong."""
+    burning = np.flatnonzero(gains > FAINT)
+    most = [burning, *(np.delete(burning, k) for k in range(len(burning)) if len(burning) >= FEWEST_JUDGED)]
+    return any(split_course(gains[some], directions[some])[0].std() < MOST_COURSE for some in most)
 
 
 def _compare(
