@@ -95,7 +95,7 @@ class Consistency:
         """Find photographs that contradict the others, by number, with the angle (degrees) to the lamp that they show.
 
         directions (lights, 3). Gloss does the same near the mirror direction: what shows little else is not judged.
-        Where more than a tenth of the photographs are strange, the thing or the list of lamps is: none is accused.
+        Where more than two and a tenth are strange, the thing or the list of lamps is: none is accused.
         """
         if len(directions) < FEWEST_JUDGED or not self.holds(directions):
             return {}
@@ -104,7 +104,7 @@ class Consistency:
         turned = (angle > STRANGE_TURN * np.nanmedian(angle)) & (angle > DOUBTED * self.direction_sigma_deg)
         strange = (turned & (misfit > MISFITTING)) | (misfit > STRANGE_MISFIT)
         found = np.flatnonzero(strange & (angle > STRANGE_DEG) & (self.matt > LEAST_MATT))
-        return {int(j): float(angle[j]) for j in found if len(found) <= max(1, MOST_STRANGE * len(directions))}
+        return {int(j): float(angle[j]) for j in found if len(found) <= max(2, MOST_STRANGE * len(directions))}
 
 
 @return_none_if_undetermined
