@@ -11,7 +11,7 @@ from stability.cases import case, powers_of_ten, relative, worst_over
 
 from nishiki.brdf.cloth.interface import LEAST_COSINE
 from nishiki.brdf.cloth.normal_incidence import GreatCircleBard, LinearBard, great_circle_view, linear_view
-from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, shape_of, uncorrected
+from nishiki.brdf.cloth.yarn_facets import CENTRE, SPREAD, shape_of, without_correction
 from nishiki.brdf.cloth.yarn_fit import Measured, fit_yarn_facets
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import unit
@@ -88,7 +88,7 @@ def test_models_at_the_horizon():
     shape = shape_of(CENTRE)
     models = [
         LinearBard.of(table()), GreatCircleBard.of(table(), diffuse=0.05), read_facets(basic(table())),
-        uncorrected(shape, 0.3 * ONE, 0.1 * ONE), Ward(ONE, ONE, 0.1, 0.4), Ggx(ONE, ONE, 0.1, 0.4, 1.5),
+        without_correction(shape, 0.3 * ONE, 0.1 * ONE), Ward(ONE, ONE, 0.1, 0.4), Ggx(ONE, ONE, 0.1, 0.4, 1.5),
         AshikhminShirley(ONE, ONE, 10.0, 400.0, 0.05),
     ]  # fmt: skip
     models.append(exact_dye(models[5], [0.3]))
@@ -284,7 +284,7 @@ def test_tables_of_any_scale():
 
 def _yarn_values(*signs):
     x = CENTRE + 6 * SPREAD * np.array(signs)
-    return broken_values(uncorrected(shape_of(x), 0.3 * ONE, 0.1 * ONE), 3, count=120)
+    return broken_values(without_correction(shape_of(x), 0.3 * ONE, 0.1 * ONE), 3, count=120)
 
 
 @case(

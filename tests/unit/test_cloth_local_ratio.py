@@ -15,7 +15,7 @@ from nishiki.brdf.cloth.yarn_facets import (
     places_of,
     ratio,
     shape_of,
-    uncorrected,
+    without_correction,
 )
 from nishiki.goniometry.directions import unit
 from nishiki.render.cloth.scene import together
@@ -73,7 +73,7 @@ def test_black_images_say_nothing():
 
 def test_model_with_images_is_stored_and_reciprocal(tmp_path):
     places = places_of(*IMAGES)
-    plain = uncorrected(shape_of(CENTRE), [0.1, 0.2], [0.0, 0.0])
+    plain = without_correction(shape_of(CENTRE), [0.1, 0.2], [0.0, 0.0])
     weights = fit_ratio(places, np.array([1.2, 0.8, 1.1]), np.ones(3), quarter=True)
     brdf = replace(plain, images=places, image_weights=weights)
     i, o = IMAGES
@@ -85,7 +85,7 @@ def test_model_with_images_is_stored_and_reciprocal(tmp_path):
 
 def test_models_that_differ_in_their_images_are_not_taken_for_one():
     places, (i, o) = places_of(*IMAGES), IMAGES
-    first = replace(uncorrected(shape_of(CENTRE), [0.1], [0.0]), images=places, image_weights=np.zeros(3))
+    first = replace(without_correction(shape_of(CENTRE), [0.1], [0.0]), images=places, image_weights=np.zeros(3))
     others = [
         replace(first, image_weights=fit_ratio(places, np.array([1.2, 0.8, 1.1]), np.ones(3), quarter=True)),
         replace(first, quarter=False),

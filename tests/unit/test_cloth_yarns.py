@@ -27,11 +27,11 @@ from nishiki.brdf.cloth.yarn_facets import (
     SIDE_ALONG,
     SPREAD,
     WEFT,
-    corrected,
     hump,
     hump_limits,
+    interpolate_correction,
     shape_of,
-    uncorrected,
+    without_correction,
 )
 from nishiki.brdf.cloth.yarn_fit import Measured, choose_oblique, fit_normal, fit_shape, fit_yarn_facets, likeness
 from nishiki.brdf.torrance_sparrow import fresnel
@@ -89,7 +89,7 @@ def plain_sum(shape, i, o):
 
 
 def test_kernel_is_the_plain_formula():
-    model = uncorrected(replace(shape_of(CENTRE), softness=0.2), [0.1], [0.0])
+    model = without_correction(replace(shape_of(CENTRE), softness=0.2), [0.1], [0.0])
     incident, outgoing = some_directions(8), some_directions(8)
     expected = [plain_sum(model.shape, i, o) for i, o in zip(incident, outgoing, strict=True)]
     assert np.allclose(model.parts(incident, outgoing), expected, rtol=1e-10, atol=1e-14)
@@ -143,7 +143,7 @@ def test_limits_against_rays_over_an_explicit_train(power, side):
 
 
 def test_model_is_reciprocal_finite_and_keeps_energy(tmp_path):
-    model = uncorrected(shape_of(CENTRE), [0.8, 0.1], [0.0, 0.01])
+    model = without_correction(shape_of(CENTRE), [0.8, 0.1], [0.0, 0.01])
     model = replace(model, correction=RNG.uniform(0.7, 1.3, (16, 72)))
     assert reciprocity_error(model) < 1e-12
     assert np.all(model.evaluate(direction(20, 0), direction([90.001, 140], 0)) == 0)
@@ -164,14 +164,20 @@ def test_extreme_shapes_stay_finite():
         for k in range(len(NAMES)):
             x = CENTRE.copy()
             x[k] += low * SPREAD[k]
-            assert np.all(np.isfinite(uncorrected(shape_of(x), [0.5], [0.0]).evaluate(views[:, None], views[None])))
+            assert np.all(
+                np.isfinite(without_correction(shape_of(x), [0.5], [0.0]).evaluate(views[:, None], views[None]))
+            )
 
 
 def test_correction_is_periodic_and_constant_beyond_45_degrees():
     table = RNG.uniform(0.5, 2, (16, 72))
-    assert corrected(table, direction(30.0, 0.0)) == pytest.approx(corrected(table, direction(30.0, 360.0 - 1e-9)))
-    assert corrected(table, direction(50.0, 10.0)) == pytest.approx(corrected(table, direction(80.0, 10.0)))
-    assert corrected(table, direction(3.0 * 5, 5.0 * 7)) == pytest.approx(table[5, 7])
+    assert interpolate_correction(table, direction(30.0, 0.0)) == pytest.approx(
+        interpolate_correction(table, direction(30.0, 360.0 - 1e-9))
+    )
+    assert interpolate_correction(table, direction(50.0, 10.0)) == pytest.approx(
+        interpolate_correction(table, direction(80.0, 10.0))
+    )
+    assert interpolate_correction(table, direction(3.0 * 5, 5.0 * 7)) == pytest.approx(table[5, 7])
 
 
 def test_solid_angles_sum_to_the_hemisphere_and_follow_the_cells():
@@ -215,7 +221,7 @@ def test_variable_projection_finds_shape_and_strengths():
 def a_cloth():
     """A shape off the prior's centre, and measurements of it: 240 of normal incidence, 3 oblique incidences."""
     x = CENTRE + SPREAD * np.tile([0.5, -0.5], CENTRE.size)[: CENTRE.size]
-    truth = uncorrected(shape_of(x), [0.05], [0.0])
+    truth = without_correction(shape_of(x), [0.05], [0.0])
     quarter = direction(*(a.ravel() for a in np.meshgrid(np.arange(0, 88, 6.0), np.arange(0, 91, 6.0), indexing="ij")))
     around = hemisphere(6, 16)[0]
     light = [direction(t, p) for t, p in ((30, 0), (60, 45), (60, 90))]
@@ -310,5 +316,5 @@ def test_what_cannot_be_fitted_is_said(cloth):
         fit_yarn_facets(data, oblique)
     with refused(UserError, "bard_linear"):
         fit_models(data, None, ["bard_linear"])
-    assert uncorrected(shape_of(CENTRE), 0.1, 0.0).channels == 1
+    assert without_correction(shape_of(CENTRE), 0.1, 0.0).channels == 1
     assert WEFT == 1

@@ -19,7 +19,7 @@ from unit.test_convert_command import listed, photographs
 import nishiki
 from nishiki.artifacts.provenance import PACKAGE, SOURCE, code_files, program_of
 from nishiki.brdf.cloth.store import save_brdf
-from nishiki.brdf.cloth.yarn_facets import CENTRE, shape_of, uncorrected
+from nishiki.brdf.cloth.yarn_facets import CENTRE, shape_of, without_correction
 from nishiki.errors import UserError
 from nishiki.formats.images import read_codes
 from nishiki.stages.table import NAMES
@@ -38,7 +38,7 @@ def folder(tmp_path_factory):
     photographs(folder / "photographs", names)
     (folder / "photographs" / "a.lp").write_text(listed(names))
     (folder / "results/satin/current").mkdir(parents=True)
-    save_brdf(folder / "results/satin/current/brdf.npz", uncorrected(shape_of(CENTRE), [0.05, 0.1], [0.0, 0.01]))
+    save_brdf(folder / "results/satin/current/brdf.npz", without_correction(shape_of(CENTRE), [0.05, 0.1], [0.0, 0.01]))
     return folder
 
 

@@ -49,7 +49,7 @@ CLOTHS = {
 
 def of_reading(model: WeaveModel, reading: str) -> WeaveModel:
     values = {name: getattr(model, name) for name in model.__dataclass_fields__}
-    values["weft"], values["warp"] = (s.scaled(1 / s.period) for s in (model.weft, model.warp))
+    values["weft"], values["warp"] = (s.scale(1 / s.period) for s in (model.weft, model.warp))
     return WeaveModel(**{**values, "reading": reading})
 
 
@@ -212,7 +212,7 @@ def test_planes_are_found_among_other_directions():
     np.testing.assert_allclose(weft.mean, model.predict("weft", weft.theta_r)[:, 0], rtol=1e-12)
     np.testing.assert_allclose(warp.mean, model.predict("warp", warp.theta_r)[:, 0], rtol=1e-12)
     few = ReflectanceSet.of(lamp[65:], view[65:], values[65:])
-    with refused(UserError, "0", by="_interpolated"):
+    with refused(UserError, "0", by="_interpolate"):
         planes_of(few)
 
 

@@ -135,7 +135,7 @@ def test_the_printed_length_of_a_contact_would_not_give_one_from_above():
 @settings(max_examples=50, deadline=None)
 @given(sections, st.floats(1e-3, 1e3))
 def test_lengths_matter_only_by_their_ratios(section, factor):
-    np.testing.assert_allclose(masking(section.scaled(factor), ANGLES), masking(section, ANGLES), atol=1e-9)
+    np.testing.assert_allclose(masking(section.scale(factor), ANGLES), masking(section, ANGLES), atol=1e-9)
 
 
 # --- profile ---

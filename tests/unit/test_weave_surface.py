@@ -60,7 +60,7 @@ def test_cuts_follow_the_middle_of_a_yarn():
 @pytest.mark.slow
 def test_stage_from_reflectances_to_model_mesh_and_drawings(tmp_path):
     weft, warp = SATIN
-    weft, warp = weft.scaled(1 / weft.period), warp.scaled(1 / warp.period)
+    weft, warp = weft.scale(1 / weft.period), warp.scale(1 / warp.period)
     truth = WeaveModel(weft, warp, 0.5, 0.15, 1.5, np.array([6.0]), np.array([0.03]), "shaded")
     theta = np.radians(np.arange(0, 88, 3.0))
     view = np.zeros((2, theta.size, 3))

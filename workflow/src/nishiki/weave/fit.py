@@ -11,7 +11,7 @@ import numpy as np
 from nishiki.errors import UserError
 from nishiki.weave.intervals import Identifiability, identify, profile_intervals
 from nishiki.weave.model import PAPER, SHADED, SIZE, columns, plane_rows, shape_of
-from nishiki.weave.search import UNKNOWNS, Problem, at_bounds, search
+from nishiki.weave.search import UNKNOWNS, SectionProblem, at_bounds, search
 from nishiki.weave.section import HALF_PI, WarpSection, WeftSection
 
 PLANE_DEG = 1.5  # how far from the plane a view may lie
@@ -81,7 +81,7 @@ def _plane(reflectances, axis: int, region: int, relative_error: float) -> Plane
         angles = np.arctan2(view[:, axis], view[:, 2])[inside]
         values, noise = (each[known][inside, region] for each in (reflectances.values, reflectances.noise))
     else:
-        angles, values = _interpolated(reflectances, axis, region, view, int(inside.sum()))
+        angles, values = _interpolate(reflectances, axis, region, view, int(inside.sum()))
         noise = None
     return make_plane(angles, values, noise=noise, relative_error=relative_error, measured=measured)
 
@@ -92,7 +92,7 @@ def _in_plane(directions: np.ndarray, axis: int) -> np.ndarray:
     return (aside < np.radians(PLANE_DEG)) & (along < np.radians(GRAZING_DEG))
 
 
-def _interpolated(reflectances, axis, region, view, views: int) -> tuple[np.ndarray, np.ndarray]:
+def _interpolate(reflectances, axis, region, view, views: int) -> tuple[np.ndarray, np.ndarray]:
     """Sample angles and values (n, channels) of one plane from the hemisphere; one side where both are equal."""
     if reflectances.basic is None or not len(view):
         raise UserError(
@@ -206,7 +206,7 @@ def fit_weave(
     )
 
 
-def _problem(weft: Plane, warp: Plane, reading: int, contact, harness, index) -> tuple[Problem, np.ndarray]:
+def _problem(weft: Plane, warp: Plane, reading: int, contact, harness, index) -> tuple[SectionProblem, np.ndarray]:
     start = np.array([0.5, 0.5, 0.5, -1.0, HALF_PI] * 2 + [2 * np.log((START_INDEX - 1) / (START_INDEX + 1))])
     assert start.size == UNKNOWNS
     if index is not None:
@@ -216,7 +216,7 @@ def _problem(weft: Plane, warp: Plane, reading: int, contact, harness, index) ->
     start[4] = HALF_PI if contact is None else contact
     touching = contact is None and harness != 2  # single yarns have no contact
     searched = [*[True] * 2, harness is None, True, touching, *[True] * 4, False, index is None]
-    problem = Problem(
+    problem = SectionProblem(
         rows=_rows(weft, warp),
         split=weft.theta_r.size,
         y=np.concatenate([weft.mean, warp.mean]),
@@ -242,8 +242,8 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str) -> WeaveMode
     of_weft = WeftSection(theta_a, length, radius, yarns, contact)
     of_warp = WarpSection(*map(float, shape_of(p[SIZE:], 1)[:4]))
     return WeaveModel(
-        of_weft.scaled(1 / of_weft.period),
-        of_warp.scaled(1 / of_warp.period),
+        of_weft.scale(1 / of_weft.period),
+        of_warp.scale(1 / of_warp.period),
         a_weft=float(np.exp(p[3])),
         a_warp=float(np.exp(p[SIZE + 3])),
         index=float((1 + root) / (1 - root)),
@@ -253,7 +253,9 @@ def model_of(p: np.ndarray, weft: Plane, warp: Plane, reading: str) -> WeaveMode
     )
 
 
-def _identifiability(model: WeaveModel, weft: Plane, warp: Plane, problem: Problem, variance: float) -> Identifiability:
+def _identifiability(
+    model: WeaveModel, weft: Plane, warp: Plane, problem: SectionProblem, variance: float
+) -> Identifiability:
     """Determine the identifiability of all physical parameters, also those that were held."""
     known = {name: value for name, value in model.parameters().items() if value > NOTHING}
     if 4 not in problem.free:

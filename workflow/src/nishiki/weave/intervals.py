@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.weave.model import PARAMETERS, PLANES, SIZE
-from nishiki.weave.search import Problem, bounds, cell_of, clipped, descend, in_cell
+from nishiki.weave.search import SectionProblem, bounds, cell_of, clip, descend, in_cell
 
 ROUNDS, WIDENINGS, HALVINGS = 25, 16, 7
 
 
-def profile_intervals(problem: Problem, p, cost: float, *, confidence: float, variance: float) -> dict:
+def profile_intervals(problem: SectionProblem, p, cost: float, *, confidence: float, variance: float) -> dict:
     """Compute the interval (low, high) of every reported unknown by its name.
 
     Names: theta_a, contact (radians), a_weft, a_warp (the lobes' widths), index, flank_weft, flank_warp = l / (l + a),
@@ -19,12 +19,12 @@ def profile_intervals(problem: Problem, p, cost: float, *, confidence: float, va
     ranges = {}
     for at in problem.free:
         ends = profile_interval(problem, p, cost, int(at), confidence=confidence, variance=variance)
-        name, form = _reported(int(at))
+        name, form = _unknown_in_reports(int(at))
         ranges[name] = tuple(sorted(float(form(end)) for end in ends))
     return ranges
 
 
-def _reported(at: int):
+def _unknown_in_reports(at: int):
     """Return the name of an unknown in reports, and its value there as a function of the solver's."""
     if at == 2 * SIZE:
         return "index", lambda v: (1 + np.exp(v / 2)) / (1 - np.exp(v / 2))
@@ -36,7 +36,7 @@ def _reported(at: int):
     return f"{name}_{plane}", float
 
 
-def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: float, variance: float):
+def profile_interval(problem: SectionProblem, p, cost: float, at: int, *, confidence: float, variance: float):
     """Find lowest and highest value of unknown `at` for which the others can still explain the data.
 
     The sum of squares, minimised over all other unknowns, may rise by variance F(confidence; 1, freedom). Walks
@@ -55,7 +55,7 @@ def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: f
         for _ in range(WIDENINGS):
             value = inside + sign * step
             value = max(value, limit) if sign < 0 else min(value, limit)
-            optimum = _held(problem, best, at, value, rest, edges, low, high)
+            optimum = _fit_held(problem, best, at, value, rest, edges, low, high)
             if optimum[1] > allowed:
                 outside = value
                 break
@@ -64,7 +64,7 @@ def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: f
                 break
         for _ in range(HALVINGS if outside is not None else 0):
             value = 0.5 * (inside + outside)
-            optimum = _held(problem, best, at, value, rest, edges, low, high)
+            optimum = _fit_held(problem, best, at, value, rest, edges, low, high)
             if optimum[1] > allowed:
                 outside = value
             else:
@@ -73,7 +73,7 @@ def profile_interval(problem: Problem, p, cost: float, at: int, *, confidence: f
     return ends[0], ends[1]
 
 
-def _held(problem: Problem, p, at, value, rest, edges, low, high):
+def _fit_held(problem: SectionProblem, p, at, value, rest, edges, low, high):
     """Fit all others with one unknown held; a theta_a that ends at the border of its cell tries the next one."""
     start = p.copy()
     start[at] = value
@@ -94,9 +94,9 @@ def _held(problem: Problem, p, at, value, rest, edges, low, high):
     return best
 
 
-def _in(problem: Problem, p, rest, edges, cell, low, high):
+def _in(problem: SectionProblem, p, rest, edges, cell, low, high):
     inside = in_cell(*in_cell(low, high, edges[0], 0, cell[0]), edges[1], 1, cell[1])
-    p, low, high = (values[None] for values in (clipped(p, rest, *inside), *inside))
+    p, low, high = (values[None] for values in (clip(p, rest, *inside), *inside))
     reached, sums = descend(p, low, high, rest, problem.data, ROUNDS, 1e-5)
     return reached[0], float(sums[0])
 
@@ -125,10 +125,10 @@ def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, varia
     """
     names = [name for name, value in parameters.items() if value > 0]
 
-    def moved(name: str, sign: int) -> np.ndarray:
+    def move(name: str, sign: int) -> np.ndarray:
         return predict({**parameters, name: parameters[name] * np.exp(sign * STEP)})
 
-    slopes = np.stack([(moved(name, 1) - moved(name, -1)) / (2 * STEP) for name in names], axis=1) * weight[:, None]
+    slopes = np.stack([(move(name, 1) - move(name, -1)) / (2 * STEP) for name in names], axis=1) * weight[:, None]
     _, singular, rows = np.linalg.svd(slopes, full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(names) - len(singular))])
     largest = max(float(singular[0]), 1e-300)
@@ -136,14 +136,14 @@ def identify(predict, parameters: dict[str, float], weight: np.ndarray, *, varia
     spread = np.sqrt(max(variance, 1.0))
     weak = [k for k in np.flatnonzero(seen)[::-1] if spread / singular[k] > WEAK]
     return Identifiability(
-        free=[_product(row, names) for row in _reduced(rows[~seen])],
+        free=[_product(row, names) for row in _reduce_rows(rows[~seen])],
         weak=[_product(rows[k], names) for k in weak],
         weak_error=[float(f"{spread / singular[k]:.3g}") for k in weak],
         singular=[float(f"{value / largest:.3g}") if value > NULL * largest else 0.0 for value in singular],
     )
 
 
-def _reduced(rows: np.ndarray) -> np.ndarray:
+def _reduce_rows(rows: np.ndarray) -> np.ndarray:
     """Reduce to row echelon form, pivots by size: the simplest vectors that span the same space."""
     rows, done = rows.copy(), 0
     for column in np.argsort(-np.abs(rows).sum(axis=0), kind="stable") if len(rows) else []:

@@ -34,7 +34,7 @@ def strengths(a: np.ndarray, b: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, 
 
 
 def residuals(points: np.ndarray, data) -> np.ndarray:
-    """Compute weight (model - y) (points, n) at every row of points (points, UNKNOWNS); data: of a `Problem`."""
+    """Compute weight (model - y) (points, n) at every row of points (points, UNKNOWNS); data: of a `SectionProblem`."""
     rows, y, weight, reading = data
     out = np.empty((len(points), len(y)))
     for some in strips(len(points)):
@@ -141,7 +141,7 @@ ROUNDS, TOLERANCE, RETURNS = 60, 1e-10, 3
 
 
 @dataclass(frozen=True)
-class Problem:
+class SectionProblem:
     """Reflectances in both planes, weft first. free: unknowns that are searched."""
 
     rows: np.ndarray
@@ -161,7 +161,7 @@ class Problem:
         """Degrees of freedom: values less unknowns, gloss and body among them, at least 1."""
         return max(self.y.size - self.free.size - 2, 1)
 
-    def only(self, plane: int) -> "Problem":
+    def only(self, plane: int) -> "SectionProblem":
         """Select one plane's data and unknowns."""
         part = slice(0, self.split) if plane == 0 else slice(self.split, None)
         free = self.free[(self.free // SIZE == plane) & (self.free < 2 * SIZE)]
@@ -213,7 +213,7 @@ def starts(edges: np.ndarray, plane: int, start: np.ndarray, free_contact: bool)
     return out
 
 
-def search_plane(problem: Problem, plane: int, start: np.ndarray, *, alone: bool = True):
+def search_plane(problem: SectionProblem, plane: int, start: np.ndarray, *, alone: bool = True):
     """Find the best (sum of squares, cell, unknowns) of one plane's unknowns, at most KEPT of them, best first.
 
     alone : against this plane's data only, with strengths of its own; False: against all data, the other plane's
@@ -238,7 +238,7 @@ def search_plane(problem: Problem, plane: int, start: np.ndarray, *, alone: bool
     return list(best.values())[:KEPT]
 
 
-def search(problem: Problem, start: np.ndarray) -> tuple[np.ndarray, float]:
+def search(problem: SectionProblem, start: np.ndarray) -> tuple[np.ndarray, float]:
     """Find unknowns and sum of squares of the whole problem.
 
     Each plane alone; their best cells together, and the neighbours of these; then each plane's cells once more beside
@@ -256,7 +256,7 @@ def search(problem: Problem, start: np.ndarray) -> tuple[np.ndarray, float]:
     return p, cost
 
 
-def _settle(problem: Problem, candidates: list[np.ndarray]) -> tuple[np.ndarray, float]:
+def _settle(problem: SectionProblem, candidates: list[np.ndarray]) -> tuple[np.ndarray, float]:
     """Find the best descent of all unknowns from the candidates, in their own cells, then in the neighbouring ones."""
     (low, high), edges = bounds(), [problem.edges(plane) for plane in (0, 1)]
     tried: dict[tuple[int, int], tuple[float, np.ndarray]] = {}
@@ -264,7 +264,7 @@ def _settle(problem: Problem, candidates: list[np.ndarray]) -> tuple[np.ndarray,
     def attempt(starts: list[tuple[int, int, np.ndarray]]) -> None:
         starts = [each for each in starts if 0 <= each[0] < len(edges[0]) - 1 and 0 <= each[1] < len(edges[1]) - 1]
         inside = np.array([in_cell(*in_cell(low, high, edges[0], 0, a), edges[1], 1, b) for a, b, _ in starts])
-        first = [clipped(p, problem.free, *each) for (*_, p), each in zip(starts, inside, strict=True)]
+        first = [clip(p, problem.free, *each) for (*_, p), each in zip(starts, inside, strict=True)]
         lows, highs = inside.swapaxes(0, 1)
         reached = descend(np.array(first), lows, highs, problem.free, problem.data, ROUNDS, TOLERANCE)
         for (weft, warp, _), p, cost in zip(starts, *reached, strict=True):
@@ -298,7 +298,7 @@ def at_bounds(p: np.ndarray, free: np.ndarray) -> list[str]:
     return [NAMES[k] for k in free if p[k] <= low[k] + near[k] or p[k] >= high[k] - near[k]]
 
 
-def clipped(p: np.ndarray, free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def clip(p: np.ndarray, free: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Clip the searched unknowns to their bounds; fixed ones stay as they are."""
     p = p.copy()
     p[free] = np.clip(p[free], low[free], high[free])

@@ -145,7 +145,7 @@ class Section:
             at = points[-1][-1]
         return np.concatenate(points), np.concatenate(normals)
 
-    def scaled(self, factor: float):
+    def scale(self, factor: float):
         """Scale all lengths of the section by `factor` > 0."""
         names = ("l", "r", "m") if hasattr(self, "m") else ("l", "r")
         return replace(self, **{name: getattr(self, name) * factor for name in names})

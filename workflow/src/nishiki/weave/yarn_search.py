@@ -63,7 +63,7 @@ class ReflectanceSamples:
 
 
 @dataclass(frozen=True)
-class YarnFit:
+class WeaveFit:
     """A fitted weave.
 
     x in the order of NAMES and its information matrix, coefficients (channels, 2) of body and Lambert term, cost with
@@ -162,7 +162,7 @@ def fit_binding(
     start=None,
     density=POINTS,
     evaluations=10,
-) -> YarnFit:
+) -> WeaveFit:
     """Fit yarns of this binding to the samples; the linear parts are eliminated at every step."""
     from scipy.optimize import least_squares
 
@@ -173,7 +173,7 @@ def fit_binding(
     def points_at(*geometry: float):
         return weave_of(np.array([*geometry, *CENTRE[GEOMETRY:]]), binding).points(density, needed)
 
-    def solved(x):
+    def solve_body(x):
         points = points_at(*x[:GEOMETRY].tolist())
         terms = weave_of(x, binding).parts(samples.incident, samples.outgoing, points)
         mirror, columns = terms[:, 0] + terms[:, 2], np.stack([terms[:, 1] + terms[:, 3], lambert], axis=1)
@@ -183,7 +183,7 @@ def fit_binding(
     centre, width = prior_of(binding, spacing_ratio)
 
     def residual(x):
-        rest, c = solved(x)
+        rest, c = solve_body(x)
         rest = rest * samples.weight[:, None] / np.sqrt(channels)
         return np.concatenate([rest.ravel(), (x - centre) / width, (c / limits).ravel()])
 
@@ -199,24 +199,24 @@ def fit_binding(
     bounds = centre - REACH * width, centre + REACH * width
     bounds[0][ARCH] = 0.0  # a float does not sag
     solution = least_squares(residual, first, jac=slopes, bounds=bounds, x_scale=width, max_nfev=evaluations, ftol=GAIN)
-    rest, c = solved(solution.x)
+    rest, c = solve_body(solution.x)
     weight = samples.weight[:, None]
     rms = np.sqrt(np.sum((weight * rest) ** 2) / np.sum((weight * samples.values) ** 2))
     grey = samples.values.mean(axis=1)
     share = samples.weight**2 / np.sum(samples.weight**2)
     variation = np.sqrt(max(share @ grey**2 - (share @ grey) ** 2, 0.0) / (share @ grey**2))
     information, cost = solution.jac.T @ solution.jac, float(2 * solution.cost) + prior_cost(binding)
-    return YarnFit(binding, solution.x, c, information, cost, float(rms), float(variation), spacing_ratio)
+    return WeaveFit(binding, solution.x, c, information, cost, float(rms), float(variation), spacing_ratio)
 
 
 @dataclass(frozen=True)
 class YarnSearch:
     """The result of a search."""
 
-    best: YarnFit  # fitted to the end, a usual weave where the samples do not distinguish it from the best one
+    best: WeaveFit  # fitted to the end, a usual weave where the samples do not distinguish it from the best one
     alike: list[Binding]  # bindings that explain the samples about as well, the best first
     ranking: list[tuple[Binding, float]]  # (binding, cost of its short fit) of all
-    fits: list[YarnFit]  # all that were fitted to the end
+    fits: list[WeaveFit]  # all that were fitted to the end
 
 
 def search_yarns(
@@ -228,7 +228,7 @@ def search_yarns(
     """
     few, many = (samples_of(measured, views=views) for views, _ in (SHORT, LONG))
     fit = partial(fit_binding, few, spacing_ratio=spacing_ratio, density=COARSE)
-    short: list[YarnFit] = []
+    short: list[WeaveFit] = []
     least, since = np.inf, 0
     for _, same in groupby(candidates, key=lambda one: one.harness):
         fits = sorted((fit(one, evaluations=FIRST) for one in same), key=lambda one: one.cost)
@@ -252,7 +252,7 @@ def search_yarns(
     return YarnSearch(best, alike, [(one.binding, one.cost) for one in short], long)
 
 
-def estimate(fit: YarnFit) -> dict[str, tuple[float, float, float]]:
+def estimate(fit: WeaveFit) -> dict[str, tuple[float, float, float]]:
     """Estimate every number of a fit: middle, standard deviation, and that of the prior.
 
     Slopes and the weft's share as they are, the others as in NAMES.

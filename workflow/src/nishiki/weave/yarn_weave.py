@@ -29,7 +29,7 @@ from nishiki.brdf.cloth.yarn_facets import (
     half_vector,
     in_blocks,
     in_lanes,
-    reflected,
+    reflect,
     smooth_step,
 )
 from nishiki.brdf.torrance_sparrow import fresnel_scalar
@@ -257,7 +257,7 @@ def weave_sums(incident, outgoing, surface, facets, soft, out):
             for p in range(family * split, split if family == 0 else points.shape[1], LANES):
                 reached = _let_through(points, p, lit_from, soft) * _let_through(points, p, seen_from, soft)
                 reached = reached * load(points, (WEIGHT, p))
-                glossy, ci, co = reflected(points, p, i, o, half, widths, tail)
+                glossy, ci, co = reflect(points, p, i, o, half, widths, tail)
                 mirror += reached * glossy
                 body += reached * choose((ci > 0.0) & (co > 0.0), ci * co, 0.0)
             scale = 1.0 / (i[2] * o[2])

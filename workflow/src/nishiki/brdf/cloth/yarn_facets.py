@@ -140,7 +140,7 @@ def facet_reflection(axes, i, o, half, ci, co, rough, tail):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def reflected(points, p, i, o, half, rough, tail):
+def reflect(points, p, i, o, half, rough, tail):
     """Compute D G / 2 of LANES points of a yarn from p on, all lit and visible, and the cosines of light and view."""
     axes = (
         (load(points, (0, p)), load(points, (1, p)), load(points, (2, p))),
@@ -216,7 +216,7 @@ def sums(incident, outgoing, facets, out):
                     if limits[family, side] < HALF_PI:
                         tilt = load(points, (TILT_X + side // 2, p)) * (1.0 - 2.0 * (side % 2))
                         reached = reached * smooth_step(0.5 + (limits[family, side] - tilt) * steep)
-                glossy, ci, co = reflected(points, p, i, o, half, widths, 1.0)
+                glossy, ci, co = reflect(points, p, i, o, half, widths, 1.0)
                 (entering, of_light), (leaving, of_view) = _entering(ci, index), _entering(co, index)
                 matt = ci * co * (entering * leaving) / (of_light * of_view)
                 mirror += reached * glossy
@@ -396,16 +396,16 @@ class YarnFacets:
 
     def evaluate(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """Evaluate the BRDF, 1 / sr: (..., channels)."""
-        return self.coloured(self.terms(incident, outgoing))
+        return self.colour(self.terms(incident, outgoing))
 
     def terms(self, incident: np.ndarray, outgoing: np.ndarray) -> np.ndarray:
         """Compute gloss, white body and white Lambert term (..., 3), 1 / sr: all that `gloss_of` a model shares."""
         parts, g = self.parts(incident, outgoing), halves(incident, outgoing)
-        mirror = (parts[..., 0] + parts[..., 2]) * corrected(self.correction, g.h)
+        mirror = (parts[..., 0] + parts[..., 2]) * interpolate_correction(self.correction, g.h)
         each = np.stack([mirror, parts[..., 1] + parts[..., 3], np.full(mirror.shape, 1 / np.pi)], axis=-1)
         return only_above(g.above, each * self.ratio(incident, outgoing)[..., None])
 
-    def coloured(self, terms: np.ndarray) -> np.ndarray:
+    def colour(self, terms: np.ndarray) -> np.ndarray:
         """Compute the BRDF (..., channels), 1 / sr, from the terms (..., 3)."""
         return terms[..., :1] + terms[..., 1:2] * self.body + terms[..., 2:] * self.lambert
 
@@ -445,7 +445,7 @@ def in_blocks(fill: Callable, incident: np.ndarray, outgoing: np.ndarray) -> np.
     return out
 
 
-def corrected(correction: np.ndarray, h: np.ndarray) -> np.ndarray:
+def interpolate_correction(correction: np.ndarray, h: np.ndarray) -> np.ndarray:
     """Interpolate the factor at half vectors (..., 3): bilinear in theta_h and phi_h, constant beyond 45 degrees."""
     nt, around = correction.shape
     theta = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
@@ -459,7 +459,7 @@ def corrected(correction: np.ndarray, h: np.ndarray) -> np.ndarray:
     return (1 - u) * upper + u * lower
 
 
-def uncorrected(shape: YarnShape, body, lambert) -> YarnFacets:
+def without_correction(shape: YarnShape, body, lambert) -> YarnFacets:
     """Make the BRDF whose facets are the shape's alone."""
     return YarnFacets(shape, np.atleast_1d(body), np.atleast_1d(lambert), np.ones((2, 8)))
 

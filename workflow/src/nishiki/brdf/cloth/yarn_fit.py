@@ -30,12 +30,12 @@ from nishiki.brdf.cloth.yarn_facets import (
     CENTRE,
     SPREAD,
     YarnFacets,
-    corrected,
     fit_ratio,
+    interpolate_correction,
     places_of,
     shape_of,
     shape_parts,
-    uncorrected,
+    without_correction,
 )
 from nishiki.errors import UserError
 from nishiki.goniometry.directions import angles
@@ -96,18 +96,18 @@ def fit_shape(
     channels = values.shape[1]
     low, high = centre - REACH * spread, centre + REACH * spread
 
-    def solved(x):
+    def solve_body(x):
         fixed, columns = parts(x)
         c = solve_linear(fixed, columns, values, weight, limits)
         return (fixed[:, None] + columns @ c.T - values) * weight[:, None] / np.sqrt(channels), c
 
     def residual(x):
-        rest, c = solved(x)
+        rest, c = solve_body(x)
         return np.concatenate([rest.ravel(), (x - centre) / spread, (c / limits).ravel()])
 
     first = np.clip(np.array(centre if start is None else start, float), low, high)
     solution = least_squares(residual, first, x_scale=spread, bounds=(low, high), diff_step=STEP, max_nfev=evaluations)
-    rest, c = solved(solution.x)
+    rest, c = solve_body(solution.x)
     information = solution.jac.T @ solution.jac
     leverage = np.sum(solution.jac * np.linalg.solve(information, solution.jac.T).T, axis=1)[: rest.size]
     return ShapeFit(
@@ -310,7 +310,7 @@ def refit_facets(brdf: Any, chosen: Measured) -> Any:
 
 def brdf_of(fit: ShapeFit) -> YarnFacets:
     """Make the BRDF of a fit, without a correction."""
-    return uncorrected(shape_of(fit.x), fit.coefficients[:, 0], fit.coefficients[:, 1])
+    return without_correction(shape_of(fit.x), fit.coefficients[:, 0], fit.coefficients[:, 1])
 
 
 def correction(brdf: YarnFacets, basic, *, steepest: float) -> np.ndarray:
@@ -325,7 +325,7 @@ def correction(brdf: YarnFacets, basic, *, steepest: float) -> np.ndarray:
     parts = brdf.parts(NORMAL, view)
     half = view + NORMAL
     half /= np.linalg.norm(half, axis=-1, keepdims=True)
-    mirror = (parts[..., 0] + parts[..., 2]) * corrected(brdf.correction, half)
+    mirror = (parts[..., 0] + parts[..., 2]) * interpolate_correction(brdf.correction, half)
     missing = (basic(view) - modelled).mean(axis=-1)
     floor = (FLOOR * modelled.mean(axis=-1)) ** 2
     return np.clip(1 + mirror * missing / (mirror**2 + floor), 1 / MOST, MOST)

@@ -67,7 +67,7 @@ def together(brdfs: list[Brdf], incident: np.ndarray, outgoing: np.ndarray) -> l
         key = tuple(map(id, parts))
         if key not in known:
             known[key] = terms(incident, outgoing) if terms else three_channels(brdf.evaluate(incident, outgoing))
-        return three_channels(brdf.coloured(known[key])) if terms else known[key]
+        return three_channels(brdf.colour(known[key])) if terms else known[key]
 
     return [
         of(brdf.gloss) + three_channels(brdf.body(incident, outgoing)) if isinstance(brdf, Dyed) else of(brdf)

@@ -62,7 +62,7 @@ def run(context: Context) -> dict:
         for name in context.settings.export:
             TABLES[name](context, fitted[default].brdf, f"_{region}" if several else "", reflectances.channels)
         stored_facts[region] = {name: {"used": fit.used.tolist(), **fit.facts} for name, fit in fitted.items()}
-        diagnostics[region] = {name: judged(measured, fit) for name, fit in fitted.items()}
+        diagnostics[region] = {name: judge(measured, fit) for name, fit in fitted.items()}
         for name, error in errors.items():
             diagnostics[region][name]["left_out_error"] = error
     listing = {"format": FORMAT, "default": default, "regions": list(reflectances.regions), "models": stored_facts}
@@ -103,7 +103,7 @@ def fits(context: Context, reflectances, measured: Measured, number: int, names)
     return fit_models(measured, basic, names, oblique=settings.oblique, yarns=yarns)
 
 
-def judged(measured: Measured, fit: Fitted) -> dict:
+def judge(measured: Measured, fit: Fitted) -> dict:
     """Compute reciprocity, albedo, and the error on the fitted data, by polar angle of the light."""
     used = measured.take(fit.used)
     predicted = fit.brdf.evaluate(used.incident, used.outgoing)
