@@ -31,7 +31,7 @@ from nishiki.brdf.texels.model import predict
 from nishiki.colour.colour import decode, encode
 from nishiki.formats.textured_surface import sample
 from nishiki.render.display import three_channels
-from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.renderer import DecodedObject
 from nishiki.stages.export.object_look import SeenPoints, TextureAtlas, model_textures, texture_atlas
 from nishiki.stages.export.registry import METRES
 

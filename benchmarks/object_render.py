@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 import _project
 from nishiki.artifacts.artifact import open_artifact
 from nishiki.geometry.visibility import rasterise
-from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.renderer import DecodedObject
 
 STAGES = ("cameras", "mesh", "texels", "object_brdf", "residual")
 

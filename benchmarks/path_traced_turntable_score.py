@@ -36,8 +36,8 @@ from nishiki.geometry.mesh import Mesh, read_triangles
 from nishiki.geometry.placement import agreement
 from nishiki.geometry.surface import shape_of
 from nishiki.geometry.visibility import interpolate, rasterise
-from nishiki.render.object.decoded_object import DecodedObject
 from nishiki.render.object.pixels import DepthMaps, extend
+from nishiki.render.object.renderer import DecodedObject
 from nishiki.render.object.shots import Neighbours
 
 STAGES = ("ingest", "mesh", "cameras", "texels", "object_brdf", "residual")

@@ -73,12 +73,14 @@ def texel_rows(inputs: dict, every: int) -> Iterator[dict]:
     from residual_texels import curves
 
     from nishiki.atlas.store import Texels
-    from nishiki.brdf.texels.model import Lighting
+    from nishiki.brdf.texels.model import CaptureLamps
     from nishiki.brdf.texels.parameters import ParameterMaps
 
     lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
     folder = inputs["object_brdf"].folder
-    yield from curves(Texels(inputs["texels"].folder), ParameterMaps(folder), Lighting.from_dict(lighting), every=every)
+    yield from curves(
+        Texels(inputs["texels"].folder), ParameterMaps(folder), CaptureLamps.from_dict(lighting), every=every
+    )
 
 
 def picture_rows(inputs: dict, work: Path, asked, codecs: bool) -> Iterator[dict]:

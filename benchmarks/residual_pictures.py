@@ -21,7 +21,7 @@ from nishiki.codec.compact import cost_of
 from nishiki.colour.colour import encode
 from nishiki.evaluate.object_photographs import Photographs
 from nishiki.observations.views import Views
-from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.renderer import DecodedObject
 
 PROJECT = Path(__file__).resolve().parents[1]
 VARIANTS = {

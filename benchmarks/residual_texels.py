@@ -14,7 +14,7 @@ from eigen_texture import eigen_patch, kept_components
 from texel_domain import keep_by_pursuit, keep_largest
 
 from nishiki.atlas.store import Texels
-from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.brdf.texels.parameters import ParameterMaps
 from nishiki.codec.allocate import principal_channels
 from nishiki.codec.design import arc_views, extent_of, view_matrix
@@ -38,7 +38,7 @@ class Stack:
 
 
 def stacks(
-    texels: Texels, parameters: ParameterMaps, lighting: Lighting, component: str, every: int
+    texels: Texels, parameters: ParameterMaps, lighting: CaptureLamps, component: str, every: int
 ) -> Iterator[Stack]:
     """Every patch, or every so-manieth, with its model."""
     lights, views = len(texels.lights), len(texels.views)
@@ -191,7 +191,7 @@ def model_only(patches: list[Stack]) -> dict:
 
 
 def curves(
-    texels: Texels, parameters: ParameterMaps, lighting: Lighting, component: str = "total", *, every: int = 1
+    texels: Texels, parameters: ParameterMaps, lighting: CaptureLamps, component: str = "total", *, every: int = 1
 ) -> Iterator[dict]:
     """All rows of the texel domain of one component; every: of so many patches one."""
     patches = [patch for patch in stacks(texels, parameters, lighting, component, every) if patch.visible.any()]

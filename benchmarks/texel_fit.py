@@ -22,8 +22,8 @@ sys.path.insert(1, str(PROJECT / "tests"))
 from published_fits import fit_points, point_problem  # noqa: E402
 
 import _project  # noqa: E402, F401
-from nishiki.brdf.texels.model import Lighting  # noqa: E402
-from nishiki.brdf.texels.texel_fit import Observed, first_fit, observed, strengths  # noqa: E402
+from nishiki.brdf.texels.model import CaptureLamps  # noqa: E402
+from nishiki.brdf.texels.texel_fit import TileSamples, first_fit, gather, strengths  # noqa: E402
 
 VIEWS, CHANNELS = 36, 3
 
@@ -32,7 +32,7 @@ def unit(vectors):
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-def simulated(texels: int, *, noise: float = 0.003, roughness: float = 0.3, seed: int = 0) -> Observed:
+def simulated(texels: int, *, noise: float = 0.003, roughness: float = 0.3, seed: int = 0) -> TileSamples:
     """Texels that every one of 36 cameras in a cap over them sees; the lamp is beside the camera."""
     rng = np.random.default_rng(seed)
     side = int(np.ceil(np.sqrt(texels)))
@@ -48,7 +48,7 @@ def simulated(texels: int, *, noise: float = 0.003, roughness: float = 0.3, seed
     for o, (centre, lamp) in enumerate(zip(centres, lamps, strict=True)):
         values[o] = reflected(positions, normals, albedo, centre, lamp.vector, roughness)
     values += noise * rng.normal(size=values.shape).astype(np.float32)
-    return observed(values, np.ones(values.shape[:3], bool), positions, normals, centres, lamps)
+    return gather(values, np.ones(values.shape[:3], bool), positions, normals, centres, lamps)
 
 
 def lamp_beside(centre):
@@ -59,7 +59,7 @@ def lamp_beside(centre):
     right = unit(np.cross([0.0, 1.0, 0.1], back))
     rotation = np.stack([right, -np.cross(back, right), -back])
     camera = Camera("", np.eye(3), rotation, -rotation @ centre, 1, 1)
-    return Lighting("position", ((0.0, 100.0, 0.0),)).lamp(camera)
+    return CaptureLamps("position", ((0.0, 100.0, 0.0),)).lamp(camera)
 
 
 def reflected(positions, normals, albedo, centre, place, roughness):
@@ -84,7 +84,7 @@ def fastest(run, rounds):
     return min(times)
 
 
-def scipy_seconds(data: Observed, count: int, analytic: bool) -> tuple[float, np.ndarray, np.ndarray]:
+def scipy_seconds(data: TileSamples, count: int, analytic: bool) -> tuple[float, np.ndarray, np.ndarray]:
     """Seconds of scipy's Levenberg-Marquardt on the first points, and what it found."""
     few = [
         np.asarray(a[:count], float) for a in (data.alpha, data.values, data.attenuation, data.diffuse, data.weights)
@@ -94,7 +94,7 @@ def scipy_seconds(data: Observed, count: int, analytic: bool) -> tuple[float, np
     return fastest(lambda: fit_points(*few, found, reports, analytic=analytic), 1), found, reports
 
 
-def explained(data: Observed, kd, ks, sigma) -> float:
+def explained(data: TileSamples, kd, ks, sigma) -> float:
     """Root mean square of the weighted residuals of texels."""
     lobe = data.attenuation * np.exp(-(data.alpha**2) / (2 * sigma[:, None] ** 2))
     model = kd[:, None] * data.diffuse[..., None] + ks[:, None] * lobe[..., None]
@@ -102,12 +102,12 @@ def explained(data: Observed, kd, ks, sigma) -> float:
     return float(np.sqrt(np.sum(weights * (model - data.values) ** 2) / (weights.sum() * model.shape[-1])))
 
 
-def timed(name: str, data: Observed, scipy_count: int) -> None:
+def timed(name: str, data: TileSamples, scipy_count: int) -> None:
     """Lines on one set of texels."""
     texels = len(data.texel)
     fit = first_fit(data)
     few = slice(0, min(scipy_count, texels))
-    part = Observed(*(getattr(data, field)[few] for field in data.__dataclass_fields__))
+    part = TileSamples(*(getattr(data, field)[few] for field in data.__dataclass_fields__))
     seconds = fastest(lambda: first_fit(data), 5)
     sigma = np.where(fit.information > 0, np.exp(fit.log_sigma), 0.2).astype(np.float32)
     again = fastest(lambda: strengths(data, sigma, fit.ks, 1.0), 5)
@@ -119,7 +119,7 @@ def timed(name: str, data: Observed, scipy_count: int) -> None:
     mine = seconds / texels * 1e6
     width = reports[:, 0] / np.sqrt(2 * np.log(2))
     both = np.isfinite(width) & (width > 0) & (fit.information[few] > 0)  # a width was determined
-    compared = Observed(*(getattr(part, field)[both] for field in part.__dataclass_fields__))
+    compared = TileSamples(*(getattr(part, field)[both] for field in part.__dataclass_fields__))
     report(
         **shared, method="variable_projection", us_per_texel=round(mine, 3), default=True,
         us_per_texel_strengths=round(again / texels * 1e6, 3), ratio_to_scipy=round(reference / mine, 1),
@@ -143,12 +143,12 @@ def stores(folder: Path):
     return sorted(path.parent for path in [*folder.glob("texels.zarr"), *folder.glob("**/texels.zarr")])
 
 
-def from_store(folder: Path, count: int) -> Observed | None:
+def from_store(folder: Path, count: int) -> TileSamples | None:
     """Texels of the fullest tile of a store, seen under a lamp at the camera."""
     from nishiki.atlas.store import Texels
 
     texels = Texels(folder)
-    lamps = [Lighting("camera").lamp(camera) for camera in texels.cameras]
+    lamps = [CaptureLamps("camera").lamp(camera) for camera in texels.cameras]
     best = None
     for tile in range(0, texels.tiles, max(texels.tiles // 20, 1)):
         positions, normals, inside = texels.geometry(tile)
@@ -160,7 +160,7 @@ def from_store(folder: Path, count: int) -> Observed | None:
     many = len(texels.lights)
     centres = np.array([camera.centre for camera in texels.cameras] * many)
     visible = texels.visible(tile) & inside
-    return observed(texels.read("total", tile), visible, positions, normals, centres, lamps * many,
+    return gather(texels.read("total", tile), visible, positions, normals, centres, lamps * many,
                     encoding=texels.encoding)  # fmt: skip
 
 

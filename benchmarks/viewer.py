@@ -27,7 +27,7 @@ from viewer_pages import lamp  # noqa: E402
 from nishiki.artifacts.artifact import open_artifact  # noqa: E402
 from nishiki.render.cloth.models import ClothModels  # noqa: E402
 from nishiki.render.display import encode_display  # noqa: E402
-from nishiki.render.object.decoded_object import DecodedObject  # noqa: E402
+from nishiki.render.object.renderer import DecodedObject  # noqa: E402
 from nishiki.stages.viewer.cloth import surfaces  # noqa: E402
 
 STATES = {

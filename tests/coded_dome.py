@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.atlas.surface import texel_points, texel_triangles
-from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.codec.allocate import EncodedObject, one_pass, pilot
 from nishiki.codec.design import Design, extent_of
 from nishiki.codec.entropy import Model, encode, train
@@ -15,12 +15,12 @@ from nishiki.codec.store import Residual, write_residual
 from nishiki.codec.tile_code import CodedScene, Effort
 from nishiki.geometry.camera import Camera, look_at
 from nishiki.geometry.mesh import Mesh
-from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.renderer import DecodedObject
 from nishiki.stages.texels import TexelsSettings
 from nishiki.stages.texels.run import lay_out
 
 VIEWS, TILE = 10, 32
-LIGHTING = Lighting("direction", ((0.0, 0.3, 0.954),))
+LIGHTING = CaptureLamps("direction", ((0.0, 0.3, 0.954),))
 
 
 def bumpy_ball(around: int = 28, high: int = 14) -> Mesh:
@@ -88,7 +88,7 @@ def coded_dome(folder: Path, *, encoding: str = "srgb", pictures: bool = False) 
     ]
     coded = EncodedObject(design, models, extents, [None] * atlas.tiles, streams, 1, 0.0, 0.0, 0, [])
     write_residual(folder, coded, photographed(design) if pictures else None, stamp={}, report={})
-    names, lighting = tuple(camera.name for camera in views), Lighting("camera") if pictures else LIGHTING
+    names, lighting = tuple(camera.name for camera in views), CaptureLamps("camera") if pictures else LIGHTING
     return DecodedObject(
         mesh, atlas, views, Residual(folder), lighting, triangles, encoding, 3, True, names, ("",), 1.0
     )

@@ -9,7 +9,7 @@ import numpy as np
 from unit.test_patches_atlas import atlas_of
 from unit.test_patches_charts import around, ball
 
-from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.stages.export.object_look import ObjectLook, texture_atlas
 
 PLACE = (0.3, 0.2, 0.1)  # of the lamp, in the camera's frame
@@ -27,7 +27,7 @@ def glossy_ball() -> tuple[ObjectLook, dict[str, np.ndarray], SimpleNamespace]:
     cameras = [replace(camera, name=f"{k} é") for k, camera in enumerate(around(4))]
     decoded = SimpleNamespace(
         mesh=mesh, cameras=cameras, views=[camera.name for camera in cameras], lights=["lamp"],
-        lighting=Lighting("position", (PLACE,)),
+        lighting=CaptureLamps("position", (PLACE,)),
     )  # fmt: skip
     grey = (64 + 100 * (np.sin(x) + 1) / 2).astype(np.uint8)
     look = ObjectLook(decoded, layout, np.rint(255 * kd).astype(np.uint8), grey, grey[::-1], 3.0, 1.5, 0.0)

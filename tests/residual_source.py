@@ -3,7 +3,7 @@
 import numpy as np
 from turned_sphere import camera_of
 
-from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.codec.parameters import TileMaps, TileSurface
 from nishiki.codec.tile_code import CodedScene, Pixels
 from nishiki.colour.colour import encode
@@ -34,7 +34,7 @@ class SphereSource:
 
 def scene_of(views):
     """Cameras of the sphere's pictures, a lamp at each."""
-    lighting, centres, lamps = Lighting("camera"), [], []
+    lighting, centres, lamps = CaptureLamps("camera"), [], []
     for view in range(views):
         place, axes = camera_of(view, views)
         camera = Camera(str(view), np.eye(3), axes, -axes @ place, 8, 8)

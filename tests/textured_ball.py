@@ -6,7 +6,7 @@ import numpy as np
 from unit.test_patches_atlas import atlas_of
 from unit.test_patches_charts import around, ball
 
-from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.formats.textured_surface import TexturedMesh
 from nishiki.stages.export.object_look import ObjectLook, object_mesh, texture_atlas
 
@@ -25,7 +25,7 @@ def textured_ball(*, rows: int = 120, columns: int = 160) -> tuple[ObjectLook, T
     maps = (colour, 0.45 + 0.15 * y, 0.6 + 0.3 * np.sin(3 * x))
     pictures = (np.rint(255 * np.clip(values, 0, 1)).astype(np.uint8) for values in maps)
     decoded = SimpleNamespace(
-        mesh=mesh, cameras=cameras, lighting=Lighting("position", ((1.5, 2.0, 0.5),)), views=["0", "1", "2", "3"]
+        mesh=mesh, cameras=cameras, lighting=CaptureLamps("position", ((1.5, 2.0, 0.5),)), views=["0", "1", "2", "3"]
     )
     look = ObjectLook(decoded, layout, *pictures, factor=1.4, scale=1.0, clipped=0.0)
     context = SimpleNamespace(inputs={"mesh": SimpleNamespace(diagnostics={"unit": "m"})})

@@ -9,18 +9,18 @@ from unit.test_object_brdf import patch, ring
 from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.environment import fit_environment, fit_highlight, sample_texels, settle
 from nishiki.brdf.texels.environment import residuals as left_of
-from nishiki.brdf.texels.model import Lighting, factors, predict
+from nishiki.brdf.texels.model import CaptureLamps, factors, predict
 from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, fill, spread
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.texel_fit import Capture, Tile
+from nishiki.brdf.texels.texel_fit import CaptureViews, Tile
 
-CAMERA = Lighting("camera", ((0.0, 0.0, 0.0),))
+CAMERA = CaptureLamps("camera", ((0.0, 0.0, 0.0),))
 SEEN = 0.15  # cos(theta_r) above which a texel is visible
 
 
-def lighting() -> Lighting:
-    return Lighting.from_capture({"kind": "camera"}, lights=1, unit="mm")
+def lighting() -> CaptureLamps:
+    return CaptureLamps.from_capture({"kind": "camera"}, lights=1, unit="mm")
 
 
 def tile_of(views=ring, *, number=0, kd=0.5, ks=0.3, sigma=0.25, scale=1.0, size=1.0, offset=0.0, seed=0):
@@ -44,7 +44,7 @@ def tile_of(views=ring, *, number=0, kd=0.5, ks=0.3, sigma=0.25, scale=1.0, size
         normals.astype(np.float32), inside,
     )  # fmt: skip
     lamps = [lighting().lamp(c) for c in moved(cameras, size, shift)]
-    return tile, Capture(((centres + shift) * size), lamps, "linear")
+    return tile, CaptureViews(((centres + shift) * size), lamps, "linear")
 
 
 def moved(cameras, size, shift):
@@ -80,7 +80,7 @@ def _model(theta, between, sigma, ks):
     """Error of the model at a point seen at theta, lit at theta - between in the same plane."""
     view = np.array([np.sin(theta), 0.0, np.cos(theta)])
     light = np.array([np.sin(theta - between), 0.0, np.cos(theta - between)])
-    lamp = Lighting("direction", ((0.0, 0.0, 1.0),)).lamp(ring()[0])
+    lamp = CaptureLamps("direction", ((0.0, 0.0, 1.0),)).lamp(ring()[0])
     from dataclasses import replace
 
     lamp = replace(lamp, vector=light.astype(np.float32))
@@ -126,7 +126,9 @@ def test_the_model_at_its_limits():
 def test_a_mirror():
     from dataclasses import replace
 
-    lamp = replace(Lighting("direction", ((0.0, 0.0, 1.0),)).lamp(ring()[0]), vector=np.array([0, 0, 1.0], np.float32))
+    lamp = replace(
+        CaptureLamps("direction", ((0.0, 0.0, 1.0),)).lamp(ring()[0]), vector=np.array([0, 0, 1.0], np.float32)
+    )
     wrong = 0
     for sigma, aside, expected in (
         (0.0, 0.0, 1.0), (0.0, 0.1, 0.0), (np.inf, 0.1, 1.0), (1e-30, 0.0, 1.0), (1e-30, 0.1, 0.0), (np.nan, 0.1, 0.0),
@@ -304,7 +306,7 @@ def test_environment_of_nothing():
 
 
 @case(
-    "Lighting settled on a sample of nothing",
+    "CaptureLamps settled on a sample of nothing",
     hazard="no texel that three views show",
     treatment="what was stated stays; what was not is a lamp at the camera",
     bound=0,
@@ -316,7 +318,7 @@ def test_settling_on_nothing():
     tile, _ = tile_of()
     blind = Tile(tile.values, np.zeros_like(tile.visible), tile.positions, tile.normals, tile.inside)
     cameras, light_of = ring(), np.zeros(36, int)
-    for stated in (lighting(), Lighting.from_capture({"kind": "unknown"}, lights=1, unit="mm")):
+    for stated in (lighting(), CaptureLamps.from_capture({"kind": "unknown"}, lights=1, unit="mm")):
         for tiles in ([blind], [blind, tile]):
             sample = sample_texels(lambda k, tiles=tiles: tiles[k], list(range(len(tiles))))
             found, report = settle(stated, sample, cameras, light_of, falloff="auto")

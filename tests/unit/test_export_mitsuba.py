@@ -11,7 +11,7 @@ from refusals import expect_facts
 from scipy.spatial.transform import Rotation
 from unit.test_patches_charts import around
 
-from nishiki.brdf.texels.model import Lighting, predict
+from nishiki.brdf.texels.model import CaptureLamps, predict
 from nishiki.formats.textured_surface import sample
 from nishiki.geometry.camera import Camera
 from nishiki.report.svg import figure
@@ -157,16 +157,16 @@ def test_lamps_of_each_kind(mi, nishiki_object):
 
 def test_what_the_scene_says_of_each_kind_of_lamp():
     camera, middle = around(4)[1], np.array([0.1, 0.2, 0.3]) * UNIT
-    near = lamp_facts(Lighting("camera", reference=2.0).lamp(camera), middle, UNIT)
+    near = lamp_facts(CaptureLamps("camera", reference=2.0).lamp(camera), middle, UNIT)
     np.testing.assert_allclose(near.pop("position"), camera.centre * UNIT, rtol=1e-6)
     assert near == {"kind": "point", "distance": 2 * UNIT, "falloff": True}
-    unknown = lamp_facts(Lighting("camera").lamp(camera), middle, UNIT)
+    unknown = lamp_facts(CaptureLamps("camera").lamp(camera), middle, UNIT)
     assert unknown["distance"] == pytest.approx(np.linalg.norm(camera.centre * UNIT - middle))
     assert unknown["falloff"] is False
-    far = lamp_facts(Lighting("direction", ((0.0, 0.6, 0.8),)).lamp(camera), middle, UNIT)
+    far = lamp_facts(CaptureLamps("direction", ((0.0, 0.6, 0.8),)).lamp(camera), middle, UNIT)
     back = camera.rotation @ far["direction"]  # x right, y down, z into the scene
     np.testing.assert_allclose(back, [0, 0.6, 0.8], atol=1e-6)
     harmonics = tuple((0.1 * k, 0.2, 0.3) for k in range(9, 0, -1))
-    room = lamp_facts(Lighting("environment", harmonics=(harmonics,)).lamp(camera), middle, UNIT)
+    room = lamp_facts(CaptureLamps("environment", harmonics=(harmonics,)).lamp(camera), middle, UNIT)
     assert room["kind"] == "around"
     assert room["radiance"] == pytest.approx([0.9, 0.2, 0.3])

@@ -3,6 +3,7 @@
 import ast
 import re
 import subprocess
+from collections import Counter
 from graphlib import TopologicalSorter
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
@@ -72,6 +73,33 @@ def test_no_folder_imports_one_that_imports_it():
             above = relations.setdefault(folder(module), set())
             above |= {folder(other) for other in others if other != "nishiki"} - {folder(module)}
     assert len(list(TopologicalSorter(relations).static_order())) == len(relations)  # raises CycleError
+
+
+def test_no_module_imports_one_that_imports_it():
+    assert len(list(TopologicalSorter(imports()).static_order())) > 300  # raises CycleError
+
+
+def definitions(kind: type) -> list:
+    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in PACKAGE.rglob("*.py")]
+    return [
+        node for tree in trees for node in (tree.body if kind is ast.ClassDef else ast.walk(tree)) if type(node) is kind
+    ]
+
+
+def test_the_name_of_a_class_means_one_thing():
+    repeated = {name for name, count in Counter(node.name for node in definitions(ast.ClassDef)).items() if count > 1}
+    assert repeated == {"Camera"}  # a calibrated view, and a device
+
+
+def test_functions_are_not_named_by_a_participle():
+    """Properties may be, as adjectives; `captured` and `predicted` of the renderer are called by users of objects."""
+    word = re.compile(r"_?([a-z]+(?<!e)ed|seen|shown|told|known|kept|found|left|held|lit|given|taken|made|said|drawn)")
+    functions = [
+        node.name
+        for node in definitions(ast.FunctionDef)
+        if not any(ast.unparse(each).endswith("property") for each in node.decorator_list)
+    ]
+    assert {name for name in functions if word.fullmatch(name)} <= {"captured", "predicted"}
 
 
 def test_what_modules_take_from_a_declaration_is_a_model_of_settings_or_its_arrays():

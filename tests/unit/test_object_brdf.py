@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from nishiki.brdf.texels.environment import Sample, place_lamp, settle
-from nishiki.brdf.texels.model import Lighting, predict
+from nishiki.brdf.texels.model import CaptureLamps, predict
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.texel_fit import Capture, Tile, lambert
+from nishiki.brdf.texels.texel_fit import CaptureViews, Tile, lambert
 from nishiki.geometry.camera import Camera
 
 VIEWS, SIZE, RADIUS, DISTANCE = 36, 24, 50.0, 600.0
@@ -35,7 +35,7 @@ def ring(views=VIEWS):
 
 def capture(lighting, encoding="linear", cameras=None):
     cameras = ring() if cameras is None else cameras
-    return Capture(np.array([c.centre for c in cameras]), [lighting.lamp(c) for c in cameras], encoding)
+    return CaptureViews(np.array([c.centre for c in cameras]), [lighting.lamp(c) for c in cameras], encoding)
 
 
 def patch(number, patches=6):
@@ -71,7 +71,7 @@ def angles(positions, normals, centre, place):
 def scene(reflect, *, noise=0.0, lamp=(60.0, 150.0, 0.0), seed=0, albedo=colours):
     """{tile: Tile} of a sphere whose points reflect(positions, kd, cos_i, cos_r, alpha) under a lamp at the camera."""
     rng = np.random.default_rng(seed)
-    lighting = Lighting("position", (lamp,))
+    lighting = CaptureLamps("position", (lamp,))
     cameras = ring()
     tiles = {}
     for number in range(6):
@@ -281,7 +281,7 @@ def test_a_lamp_beside_the_camera_is_found_by_shading_and_gloss(place, encoding)
     normals = rng.normal(size=(1500, 3)).astype(np.float32)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     kd = rng.uniform(0.1, 0.8, (1500, 3)).astype(np.float32)
-    lighting = Lighting("position", ((place[0] * DISTANCE / 4, place[1] * DISTANCE / 4, 0.0),))
+    lighting = CaptureLamps("position", ((place[0] * DISTANCE / 4, place[1] * DISTANCE / 4, 0.0),))
     values, visible = np.zeros((1500, len(cameras), 3), np.float32), np.zeros((1500, len(cameras)), bool)
     for k, camera in enumerate(cameras):
         lamp = lighting.lamp(camera)
@@ -295,7 +295,7 @@ def test_a_lamp_beside_the_camera_is_found_by_shading_and_gloss(place, encoding)
     if not any(place):
         assert found == (0.0, 0.0, 0.0)
     assert np.abs(np.array(found) - lighting.vectors[0]).max() < DISTANCE / 40
-    stated, of = Lighting("camera", ((0.0, 0.0, 0.0),)), np.zeros(len(cameras), int)
+    stated, of = CaptureLamps("camera", ((0.0, 0.0, 0.0),)), np.zeros(len(cameras), int)
     report = settle(stated, sample, cameras, of, falloff="inverse_square", encoding=encoding)[1]
     degrees = np.degrees(np.arctan(np.hypot(*place) / 4))
     assert report.get("beside_camera_deg", [0]) == pytest.approx([degrees], abs=1.5)
@@ -309,7 +309,7 @@ def test_light_from_all_around_is_no_lamp_beside_the_camera():
     visible = np.stack([(normals * (c.centre - normals)).sum(axis=1) > 0.2 * DISTANCE for c in cameras], axis=1)
     sample = Sample(normals, normals, values, visible)
     lighting, report = settle(
-        Lighting("camera", ((0.0, 0.0, 0.0),)), sample, cameras, np.zeros(len(cameras), int), falloff="none"
+        CaptureLamps("camera", ((0.0, 0.0, 0.0),)), sample, cameras, np.zeros(len(cameras), int), falloff="none"
     )
     assert lighting.kind == "camera"
     assert "beside_camera_deg" not in report

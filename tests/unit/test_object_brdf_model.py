@@ -10,9 +10,9 @@ from refusals import refused
 
 from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.environment import fit_environment, fit_highlight, harmonics, hemisphere
-from nishiki.brdf.texels.model import DISTANT, ENVIRONMENT, POINT, Lighting, ViewLamp, factors, predict
+from nishiki.brdf.texels.model import DISTANT, ENVIRONMENT, POINT, CaptureLamps, ViewLamp, factors, predict
 from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, fill, spread
-from nishiki.brdf.texels.texel_fit import Observed, observed, strengths
+from nishiki.brdf.texels.texel_fit import TileSamples, gather, strengths
 from nishiki.colour.colour import encoding_slope
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
@@ -145,11 +145,11 @@ def camera():
 
 def test_lamps_turn_with_the_camera():
     seen = camera()
-    beside = Lighting.from_capture({"kind": "camera", "vectors": None}, lights=2, unit="mm").lamp(seen, 1)
+    beside = CaptureLamps.from_capture({"kind": "camera", "vectors": None}, lights=2, unit="mm").lamp(seen, 1)
     np.testing.assert_allclose(beside.vector, seen.centre, rtol=1e-6)
-    ahead = Lighting.from_capture({"kind": "direction", "vectors": [[0, 0, 2]]}, lights=1, unit="mm").lamp(seen)
+    ahead = CaptureLamps.from_capture({"kind": "direction", "vectors": [[0, 0, 2]]}, lights=1, unit="mm").lamp(seen)
     np.testing.assert_allclose(ahead.vector, unit(seen.centre), atol=1e-6)
-    above = Lighting.from_capture({"kind": "position_mm", "vectors": [[0, 50, 0]]}, lights=1, unit="cm").lamp(seen)
+    above = CaptureLamps.from_capture({"kind": "position_mm", "vectors": [[0, 50, 0]]}, lights=1, unit="cm").lamp(seen)
     up = above.vector - seen.centre
     assert np.linalg.norm(up) == pytest.approx(5, rel=1e-4)
     assert up[1] > 4  # y up in the picture is the world's y here
@@ -158,21 +158,21 @@ def test_lamps_turn_with_the_camera():
 
 def test_lighting_round_trip_and_errors():
     e = tuple((float(k),) for k in range(9))
-    lighting = Lighting("environment", ((0.1, 0.2, 0.3),), (e,), 2.5)
-    assert Lighting.from_dict(json.loads(json.dumps(lighting.as_dict()))) == lighting
+    lighting = CaptureLamps("environment", ((0.1, 0.2, 0.3),), (e,), 2.5)
+    assert CaptureLamps.from_dict(json.loads(json.dumps(lighting.as_dict()))) == lighting
     for kind, vectors, unit_name, words in (
         ("position_mm", [[1, 2, 3]], "arbitrary", "unit"),
         ("direction", [[0, 0, 0]], "mm", "light"),
         ("direction", [[0, 0, 1], [0, 1, 0]], "mm", "1"),
     ):
         with pytest.raises(UserError, match=words):
-            Lighting.from_capture({"kind": kind, "vectors": vectors}, lights=1, unit=unit_name)
+            CaptureLamps.from_capture({"kind": kind, "vectors": vectors}, lights=1, unit=unit_name)
     with pytest.raises(UserError, match="unknown"):
-        Lighting("unknown").lamp(camera())
+        CaptureLamps("unknown").lamp(camera())
     with pytest.raises(UserError, match="light 1"):
-        Lighting("camera").lamp(camera(), 1)
+        CaptureLamps("camera").lamp(camera(), 1)
     with refused(UserError, "candle"):
-        Lighting("candle")
+        CaptureLamps("candle")
 
 
 def turned_texels(n=1500, views=24, seed=3):
@@ -286,7 +286,7 @@ def test_observed_gathers_the_visible_only():
     normals = np.broadcast_to([0.0, 0, 1], positions.shape)
     centres = np.array([[0.0, 0, 100], [30, 0, 100], [0, 40, 90], [-20, 0, 100], [0, 0, 80]])
     lamps = [lamp_at(*centre) for centre in centres]
-    data = observed(values, visible, positions, normals, centres, lamps, encoding="srgb")
+    data = gather(values, visible, positions, normals, centres, lamps, encoding="srgb")
     np.testing.assert_array_equal(np.sort(data.texel), np.flatnonzero(visible.reshape(5, -1).any(axis=0)))
     for p, texel in enumerate(data.texel):
         views = data.view[p][data.view[p] >= 0]
@@ -324,7 +324,7 @@ def test_strengths_of_nearly_dependent_terms_are_those_of_exact_sums():
     sigma = np.full(points, 0.5, np.float32)
     lobe = np.exp(-(alpha.astype(float) ** 2) / (2 * 0.5**2))
     values = (0.4 * diffuse + 0.3 * lobe)[..., None].astype(np.float32)
-    data = Observed(np.arange(points), values, diffuse, attenuation, alpha, weights, np.zeros((points, slots), int))
+    data = TileSamples(np.arange(points), values, diffuse, attenuation, alpha, weights, np.zeros((points, slots), int))
     found = strengths(data, sigma, np.zeros((points, 1), np.float32), 0.0)
     for p in range(points):
         root = np.sqrt(weights[p].astype(float))
@@ -348,7 +348,7 @@ def test_strengths_state_what_the_observations_differ_from_them():
 
     def observations(values, noise):
         noisy = values[..., None] + rng.normal(0, noise, (points, slots, 2))
-        return Observed(np.arange(points), noisy.astype(np.float32), *rest)
+        return TileSamples(np.arange(points), noisy.astype(np.float32), *rest)
 
     total = observations(clean, 0.05)
     prior = np.zeros((points, 2), np.float32)

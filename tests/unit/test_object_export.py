@@ -11,7 +11,7 @@ from unit.test_patches_atlas import atlas_of
 from unit.test_patches_charts import around, ball
 
 from nishiki.brdf.slopes import isotropic_lobe
-from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.stages.export import OBJECT_LIMITS as LIMITS
 from nishiki.stages.export import object as object_export
@@ -80,8 +80,8 @@ def test_lamps_at_a_place_and_in_a_direction(atlas):
     positions = np.array([[0.1, 0.0, 0.2], [0.0, -0.3, 0.1]])
     normals = np.array([[0.6, 0.0, 0.8], [0.0, 0.0, 1.0]])
     towards = (camera.centre - positions) / np.linalg.norm(camera.centre - positions, axis=1, keepdims=True)
-    far = Lighting("direction", ((0.0, 0.0, 1.0),)).lamp(camera)
-    for lamp, light in ((Lighting("camera").lamp(camera), towards), (far, np.tile(far.vector, (2, 1)))):
+    far = CaptureLamps("direction", ((0.0, 0.0, 1.0),)).lamp(camera)
+    for lamp, light in ((CaptureLamps("camera").lamp(camera), towards), (far, np.tile(far.vector, (2, 1)))):
         points = SeenPoints(positions, normals, np.zeros((2, 2)), camera.centre, lamp, np.ones((1, 2), bool))
         half = (light + towards) / np.linalg.norm(light + towards, axis=1, keepdims=True)
         for found, vectors in zip(points.cosines(), (half, light, towards), strict=False):

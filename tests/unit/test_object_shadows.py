@@ -7,7 +7,7 @@ import pytest
 from coded_dome import coded_dome
 from refusals import refused
 
-from nishiki.brdf.texels.model import Lighting, predict
+from nishiki.brdf.texels.model import CaptureLamps, predict
 from nishiki.errors import UserError
 from nishiki.geometry.camera import look_at
 from nishiki.geometry.mesh import Mesh
@@ -79,7 +79,7 @@ def test_points_cover_the_disc_evenly():
 
 def test_a_picture_without_shadows_is_that_of_a_captured_lamp_at_the_same_place(decoded):
     plain = decoded.renderer(model_only=True, rim=0)
-    plain.lighting = Lighting("direction", (tuple(map(float, LAMP.towards)),))
+    plain.lighting = CaptureLamps("direction", (tuple(map(float, LAMP.towards)),))
     own = decoded.renderer(own_lamps=FreeLighting((LAMP,), shadows=False), rim=0)
     want, got = (next(each.render([each.captured(3)])) for each in (plain, own))
     np.testing.assert_allclose(got.linear, want.linear, atol=1e-6)

@@ -10,7 +10,7 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import rotation_matrix
 from nishiki.render.display import develop, three_channels
-from nishiki.render.object.renderer import block_mean, coverage, places, reduced
+from nishiki.render.object.renderer import block_mean, coverage, places, reduce_blocks
 from nishiki.stages.evaluate.object import (
     AMPLIFIED,
     DECODED,
@@ -77,7 +77,7 @@ def test_block_means_of_covered_samples_only():
     linear[0, 0] = 99
     covered = np.ones((4, 4), bool)
     covered[0, 0] = covered[2:, 2:] = False
-    values, part = reduced(linear, covered, 2)
+    values, part = reduce_blocks(linear, covered, 2)
     np.testing.assert_allclose(part, [[0.75, 1], [1, 0]])
     np.testing.assert_allclose(values, part[..., None] * np.ones(3))
     assert not values[1, 1].any()

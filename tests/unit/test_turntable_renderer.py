@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from nishiki.brdf.texels.model import Lighting, predict
+from nishiki.brdf.texels.model import CaptureLamps, predict
 from nishiki.codec.design import Extent
 from nishiki.codec.pictures import pack_strayed
 from nishiki.codec.store import CodedTexels
@@ -105,7 +105,7 @@ def view(angle, rows=100, columns=110):
     return Camera(f"{angle:.3f}", intrinsics, rotation, np.array([0, 0, 4.0]), rows, columns)
 
 
-LIGHTING = Lighting("direction", ((0.0, 0.3, 1.0), (0.6, 0.0, 0.8)))
+LIGHTING = CaptureLamps("direction", ((0.0, 0.3, 1.0), (0.6, 0.0, 0.8)))
 ANGLES = np.array([-0.3, -0.1, 0.1, 0.3])
 
 
@@ -270,12 +270,12 @@ def test_places_turned_away_from_the_camera_take_what_the_picture_shows_beside_t
 
 def test_the_surface_throws_shadows_between_views():
     made = make()
-    lamp = Lighting("direction", ((0.95, 0.0, 0.312),)).lamp(view(0.0))
+    lamp = CaptureLamps("direction", ((0.95, 0.0, 0.312),)).lamp(view(0.0))
     points, normals = (np.concatenate([made.geometry(k)[part].reshape(-1, 3) for k in range(9)]) for part in (0, 1))
     along = np.arange(0.02, 2, 0.01)
     ray = points[:, None] + along[:, None] * lamp.vector
     clear = (ray[..., 2] - np.where(np.abs(ray[..., 0]) <= 1, height(ray[..., 0], ray[..., 1]), 0)).min(axis=1)
-    lit = made._lit(lamp, points, normals)
+    lit = made._find_lit(lamp, points, normals)
     sure = np.abs(clear) > 0.03
     np.testing.assert_array_equal(lit[sure] > 0, clear[sure] > 0)
     assert (lit == 0).sum() > 30

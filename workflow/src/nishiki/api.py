@@ -14,7 +14,7 @@ from nishiki.errors import UserError, require
 if TYPE_CHECKING:
     from nishiki.brdf.gloss_profile import GlossProfile
     from nishiki.photometric.solve import NormalField
-    from nishiki.render.object.decoded_object import DecodedObject
+    from nishiki.render.object.renderer import DecodedObject
 
 STAGES_OF_OBJECT = ("cameras", "mesh", "texels", "object_brdf", "residual")
 
@@ -409,7 +409,7 @@ def read_object(folder: str | Path) -> "DecodedObject":
     True
     """
     from nishiki.artifacts.artifact import open_artifact
-    from nishiki.render.object.decoded_object import DecodedObject
+    from nishiki.render.object.renderer import DecodedObject
 
     folder = Path(folder)
     missing = [stage for stage in STAGES_OF_OBJECT if not (folder / stage).is_dir()]

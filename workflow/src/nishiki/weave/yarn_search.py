@@ -63,7 +63,7 @@ class ReflectanceSamples:
 
 
 @dataclass(frozen=True)
-class WeaveFit:
+class BindingFit:
     """A fitted weave.
 
     x in the order of NAMES and its information matrix, coefficients (channels, 2) of body and Lambert term, cost with
@@ -162,7 +162,7 @@ def fit_binding(
     start=None,
     density=POINTS,
     evaluations=10,
-) -> WeaveFit:
+) -> BindingFit:
     """Fit yarns of this binding to the samples; the linear parts are eliminated at every step."""
     from scipy.optimize import least_squares
 
@@ -206,17 +206,17 @@ def fit_binding(
     share = samples.weight**2 / np.sum(samples.weight**2)
     variation = np.sqrt(max(share @ grey**2 - (share @ grey) ** 2, 0.0) / (share @ grey**2))
     information, cost = solution.jac.T @ solution.jac, float(2 * solution.cost) + prior_cost(binding)
-    return WeaveFit(binding, solution.x, c, information, cost, float(rms), float(variation), spacing_ratio)
+    return BindingFit(binding, solution.x, c, information, cost, float(rms), float(variation), spacing_ratio)
 
 
 @dataclass(frozen=True)
 class YarnSearch:
     """The result of a search."""
 
-    best: WeaveFit  # fitted to the end, a usual weave where the samples do not distinguish it from the best one
+    best: BindingFit  # fitted to the end, a usual weave where the samples do not distinguish it from the best one
     alike: list[Binding]  # bindings that explain the samples about as well, the best first
     ranking: list[tuple[Binding, float]]  # (binding, cost of its short fit) of all
-    fits: list[WeaveFit]  # all that were fitted to the end
+    fits: list[BindingFit]  # all that were fitted to the end
 
 
 def search_yarns(
@@ -228,7 +228,7 @@ def search_yarns(
     """
     few, many = (samples_of(measured, views=views) for views, _ in (SHORT, LONG))
     fit = partial(fit_binding, few, spacing_ratio=spacing_ratio, density=COARSE)
-    short: list[WeaveFit] = []
+    short: list[BindingFit] = []
     least, since = np.inf, 0
     for _, same in groupby(candidates, key=lambda one: one.harness):
         fits = sorted((fit(one, evaluations=FIRST) for one in same), key=lambda one: one.cost)
@@ -252,7 +252,7 @@ def search_yarns(
     return YarnSearch(best, alike, [(one.binding, one.cost) for one in short], long)
 
 
-def estimate(fit: WeaveFit) -> dict[str, tuple[float, float, float]]:
+def estimate(fit: BindingFit) -> dict[str, tuple[float, float, float]]:
     """Estimate every number of a fit: middle, standard deviation, and that of the prior.
 
     Slopes and the weft's share as they are, the others as in NAMES.

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.brdf.slopes import GRAZING
-from nishiki.brdf.texels.model import HARMONICS, TO_LAMP_FRAME, Lighting, factors
+from nishiki.brdf.texels.model import HARMONICS, TO_LAMP_FRAME, CaptureLamps, factors
 from nishiki.brdf.texels.texel_fit import Tile
 from nishiki.colour.colour import encoding_slope
 from nishiki.geometry.camera import Camera
@@ -262,7 +262,7 @@ def place_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, encoding: 
         return NOWHERE
 
     def residual(place: np.ndarray) -> float:
-        lighting = Lighting("position", ((*place, 0.0),))
+        lighting = CaptureLamps("position", ((*place, 0.0),))
         found = [factors(positions, normals, camera.centre, lighting.lamp(camera), 1) for camera in cameras]
         lit = np.stack([irradiance[:, 0] for irradiance, _ in found], axis=1)
         strength, cos_r, alpha2 = np.moveaxis(np.stack([angles for _, angles in found], axis=1), -1, 0)
@@ -302,7 +302,7 @@ def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
 
 
 def settle(
-    stated: Lighting,
+    stated: CaptureLamps,
     sample: Sample,
     cameras: list[Camera],
     light_of: np.ndarray,
@@ -310,14 +310,14 @@ def settle(
     falloff: str,
     encoding: str = "linear",
     beside: bool = True,
-) -> tuple[Lighting, dict]:
+) -> tuple[CaptureLamps, dict]:
     """Choose the lighting to fit with, and report how it was found.
 
     cameras: one an observation; light_of (M,): index of its light.  falloff: "auto", "none" or "inverse_square".
     encoding: in which errors count.  beside: whether a lamp stated at the camera may be found beside it.
     """
     if stated.kind == "unknown":
-        return _fitted(sample, cameras, light_of, len(stated.vectors), encoding)
+        return _fit_irradiance(sample, cameras, light_of, len(stated.vectors), encoding)
     centre, moved = sample.positions.mean(axis=0) if len(sample.positions) else np.zeros(3), {}
     if stated.kind == "camera" and beside:
         found = [
@@ -325,7 +325,7 @@ def settle(
             for of in (np.flatnonzero(light_of == light) for light in range(len(stated.vectors)))
         ]
         if any(map(any, found)):
-            stated, distance = Lighting("position", tuple(found)), np.linalg.norm(cameras[0].centre - centre)
+            stated, distance = CaptureLamps("position", tuple(found)), np.linalg.norm(cameras[0].centre - centre)
             moved = {"beside_camera_deg": np.degrees(np.arctan2(np.hypot(*np.array(found).T[:2]), distance)).tolist()}
     if stated.kind == "direction" or falloff == "none":
         return stated, {"falloff": "none", **moved}
@@ -340,9 +340,9 @@ def settle(
     return chosen, {"falloff": name, **residuals, **moved}
 
 
-def _fitted(
+def _fit_irradiance(
     sample: Sample, cameras: list[Camera], light_of: np.ndarray, lights: int, encoding: str
-) -> tuple[Lighting, dict]:
+) -> tuple[CaptureLamps, dict]:
     """Fit an irradiance and, if the views confirm it, a direction of highlights for each light."""
     harmonics, vectors, reports = [], [], []
     turned = [TO_LAMP_FRAME @ camera.rotation for camera in cameras]
@@ -363,10 +363,10 @@ def _fitted(
         reports.append(
             {"explained": fit.explained, "rounds": fit.rounds, "texels": fit.texels, "highlight_gain": lobe.gain}
         )
-    return Lighting("environment", tuple(vectors), tuple(harmonics)), {"environment": reports}
+    return CaptureLamps("environment", tuple(vectors), tuple(harmonics)), {"environment": reports}
 
 
-def _lambert_residual(lighting: Lighting, sample: Sample, cameras: list[Camera], light_of: np.ndarray) -> float:
+def _lambert_residual(lighting: CaptureLamps, sample: Sample, cameras: list[Camera], light_of: np.ndarray) -> float:
     """Compute the sample's median deviation from the Lambert term alone, relative to the texels' level."""
     lit, weights = (np.zeros(sample.visible.shape) for _ in range(2))
     for o, camera in enumerate(cameras):

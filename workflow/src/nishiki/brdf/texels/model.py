@@ -48,7 +48,7 @@ class ViewLamp:
 
 
 @dataclass(frozen=True)
-class Lighting(PlainFields):
+class CaptureLamps(PlainFields):
     """The lamps of a capture, in the lamp frame."""
 
     # "camera" (the lamp is at the camera's centre), "direction", "position" (in the world's unit), "environment"
@@ -63,7 +63,7 @@ class Lighting(PlainFields):
             raise UserError(f"lighting: expected one of {', '.join(KINDS)}, found {self.kind!r}")
 
     @classmethod
-    def from_capture(cls, lamp: dict, *, lights: int, unit: str) -> "Lighting":
+    def from_capture(cls, lamp: dict, *, lights: int, unit: str) -> "CaptureLamps":
         """Read a capture's lighting: {"kind", "vectors" (lights, 3) or None}, `unit` of the world's lengths.
 
         Raises UserError where a direction has no length, a place is given but the world's unit is no length, or the

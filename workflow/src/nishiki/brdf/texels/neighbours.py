@@ -46,21 +46,21 @@ class Neighbourhood:
         total = sum((sums.sum(axis=0) for _, sums in self.parts), np.zeros(1 + self.size))
         return total[1:] / total[0] if total[0] > 0 else np.asarray(default, float)
 
-    def field(self, coarse: float, default: np.ndarray) -> "Field":
+    def field(self, coarse: float, default: np.ndarray) -> "LatticeField":
         """Smooth the field; coarse: precision of the next coarser lattice; default (size,): where there is no texel."""
         mean = self.mean(default)
         if not any(len(keys) for keys, _ in self.parts):
-            return Field(self.lattice, np.zeros(1, np.int64), mean[None].copy(), mean)
-        levels = [_merged(*(np.concatenate(part) for part in zip(*self.parts, strict=True)))]
+            return LatticeField(self.lattice, np.zeros(1, np.int64), mean[None].copy(), mean)
+        levels = [_merge(*(np.concatenate(part) for part in zip(*self.parts, strict=True)))]
         while len(levels[-1][0]) > 8 and len(levels) < _BITS:
             keys, sums = levels[-1]
-            levels.append(_shared(_unpacked(keys) / 2, sums))
+            levels.append(_share(_unpack(keys) / 2, sums))
         above, below, values = mean, levels[-1][0], mean[None]
         for number, (keys, sums) in enumerate(reversed(levels)):
             if number:
-                above = _looked_up(_unpacked(keys) / 2, below, values)
+                above = _looked_up(_unpack(keys) / 2, below, values)
             below, values = keys, (sums[:, 1:] + coarse * above) / (sums[:, :1] + coarse)
-        return Field(self.lattice, below, values, mean)
+        return LatticeField(self.lattice, below, values, mean)
 
 
 def spread(positions: np.ndarray, values: np.ndarray, precision: np.ndarray, lattice: Lattice) -> tuple:
@@ -70,11 +70,11 @@ def spread(positions: np.ndarray, values: np.ndarray, precision: np.ndarray, lat
     """
     weight = np.asarray(precision, np.float64)[:, None]
     sums = np.concatenate([weight, weight * np.where(weight > 0, values, 0)], axis=1)
-    return _shared(lattice.places(positions), sums)
+    return _share(lattice.places(positions), sums)
 
 
 @dataclass(frozen=True)
-class Field:
+class LatticeField:
     """Values on the nodes of a lattice (keys sorted): between them, trilinear."""
 
     lattice: Lattice
@@ -87,14 +87,14 @@ class Field:
         return _looked_up(self.lattice.places(positions), self.keys, self.values).astype(np.float32)
 
 
-def _shared(places: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _share(places: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Share sums (n, s) at places (n, 3), in cells, among the nodes around by tent weights; merge them by node."""
     keys, parts = [], []
     for corner, weight in _nodes_around(places):
         there = weight > 0
         keys.append(corner[there])
         parts.append(weight[there, None] * sums[there])
-    return _merged(np.concatenate(keys), np.concatenate(parts))
+    return _merge(np.concatenate(keys), np.concatenate(parts))
 
 
 def _nodes_around(places: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -106,7 +106,7 @@ def _nodes_around(places: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]
         yield (i << 2 * _BITS) | (j << _BITS) | k, np.prod(np.where(corner, share, 1 - share), axis=1)
 
 
-def _merged(keys: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _merge(keys: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(keys, kind="stable")
     keys = keys[order]
     if not keys.size:
@@ -115,7 +115,7 @@ def _merged(keys: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return keys[first], np.add.reduceat(sums[order], first, axis=0)
 
 
-def _unpacked(keys: np.ndarray) -> np.ndarray:
+def _unpack(keys: np.ndarray) -> np.ndarray:
     mask = 2 * _MIDDLE - 1
     return np.stack([keys >> 2 * _BITS, keys >> _BITS & mask, keys & mask], axis=1) - float(_MIDDLE)
 
@@ -139,27 +139,27 @@ def fill(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     if known.all():
         return values.astype(np.float32)
     sums = np.where(known[..., None], values, 0).astype(np.float64)
-    return np.where(known[..., None], values, _filled(sums, known.astype(np.float64))).astype(np.float32)
+    return np.where(known[..., None], values, _fill(sums, known.astype(np.float64))).astype(np.float32)
 
 
-def _filled(sums: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def _fill(sums: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Average the known texels near each: sums (rows, columns, n) already multiplied by weight (rows, columns)."""
     rows, columns = weight.shape
     mean = np.divide(sums, weight[..., None], out=np.zeros_like(sums), where=weight[..., None] > 0)
     if rows <= 1 and columns <= 1:
         return mean
-    above = _filled(_halved(sums), _halved(weight[..., None])[..., 0])
+    above = _fill(_halve(sums), _halve(weight[..., None])[..., 0])
     share = np.minimum(weight, 1)[..., None]
-    return share * mean + (1 - share) * _doubled(above, rows, columns)
+    return share * mean + (1 - share) * _double(above, rows, columns)
 
 
-def _halved(values: np.ndarray) -> np.ndarray:
+def _halve(values: np.ndarray) -> np.ndarray:
     rows, columns, _ = values.shape
     even = np.pad(values, ((0, rows % 2), (0, columns % 2), (0, 0)))
     return even[::2, ::2] + even[1::2, ::2] + even[::2, 1::2] + even[1::2, 1::2]
 
 
-def _doubled(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
+def _double(values: np.ndarray, rows: int, columns: int) -> np.ndarray:
     """Double a grid bilinearly to (rows, columns), cell centres on cell centres, ends held."""
     for axis, length in ((0, rows), (1, columns)):
         at = np.clip((np.arange(length) - 0.5) / 2, 0, values.shape[axis] - 1)

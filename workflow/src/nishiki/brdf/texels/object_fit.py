@@ -16,9 +16,9 @@ import numpy as np
 
 from nishiki.brdf.fit import FitFlag
 from nishiki.brdf.texels import texel_fit
-from nishiki.brdf.texels.neighbours import Field, Lattice, Neighbourhood, fill, spread
+from nishiki.brdf.texels.neighbours import Lattice, LatticeField, Neighbourhood, fill, spread
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.texel_fit import Capture, Tile
+from nishiki.brdf.texels.texel_fit import CaptureViews, Tile
 from nishiki.threads import in_threads
 
 CELL = 8  # edge of the finest lattice's cells, in texels
@@ -56,7 +56,7 @@ class ObjectFit:
 def fit_object(
     read: Callable[[int], Tile],
     tiles: Iterable[int],
-    capture: Capture,
+    capture: CaptureViews,
     write: Callable[[int, Parameters], None],
     *,
     threads: int = 1,
@@ -85,11 +85,11 @@ def fit_object(
         return _counts(parameters.flags), *capture.squares(parameters, tile)
 
     finished = list(in_threads(finish, range(len(tiles)), threads))
-    return replace(_described(passes.first, passes.widths, passes.gloss, finished), freedom=freedom)
+    return replace(_describe(passes.first, passes.widths, passes.gloss, finished), freedom=freedom)
 
 
 def _choose_freedom(
-    read: Callable[[int], Tile], tiles: list[int], capture: Capture, lattice: Lattice, threads: int
+    read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, threads: int
 ) -> float:
     """Choose the factor on the scatter whose fit to two thirds of the views serves the others best, on some tiles.
 
@@ -100,7 +100,7 @@ def _choose_freedom(
     captured = np.flatnonzero(np.any([read(number).visible.any(axis=(1, 2)) for number in tiles], axis=0))
     rows = list(zip(captured[::3], captured[1::3], captured[2::3], strict=False))
 
-    def shown(number: int) -> Tile:
+    def read_tile(number: int) -> Tile:
         tile = read(number)
         visible = tile.visible.copy()
         visible[[middle for _, middle, _ in rows]] = False
@@ -108,16 +108,16 @@ def _choose_freedom(
 
     def error(k: int, passes: _Passes) -> float:
         tile, total = read(tiles[k]).joined, 0.0
-        fitted = _third(shown(tiles[k]).joined, capture, passes.widths, passes.gloss, passes.first[k])
+        fitted = _third(read_tile(tiles[k]).joined, capture, passes.widths, passes.gloss, passes.first[k])
         for row in rows:
             seen = tile.visible[list(row)].all(axis=0) & tile.inside
-            before, here, after = (capture.left(fitted, tile, int(view), seen) for view in row)
+            before, here, after = (capture.subtract_prediction(fitted, tile, int(view), seen) for view in row)
             total += float(np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64))
         return total
 
-    errors, first = [], _first_pass(shown, tiles, capture, lattice, threads)
+    errors, first = [], _first_pass(read_tile, tiles, capture, lattice, threads)
     for freedom in FREEDOMS:
-        passes = _Passes.of(shown, tiles, capture, lattice, freedom, first, threads)
+        passes = _Passes.of(read_tile, tiles, capture, lattice, freedom, first, threads)
         errors.append(sum(in_threads(partial(error, passes=passes), range(len(tiles)), threads)))
     return FREEDOMS[int(np.argmin(errors))]
 
@@ -140,7 +140,7 @@ class _First:
     stride: int
 
     @classmethod
-    def of(cls, tile: Tile, capture: Capture, lattice: Lattice) -> "_First":
+    def of(cls, tile: Tile, capture: CaptureViews, lattice: Lattice) -> "_First":
         total, specular = capture.observe(tile)
         fit = texel_fit.first_fit(total, specular)
         informed = fit.information > 0
@@ -159,7 +159,7 @@ class _First:
 class _Widths:
     """The rule for sigma from a texel's own estimate and the field of its neighbours."""
 
-    field: Field
+    field: LatticeField
     scatter: float
 
     @classmethod
@@ -192,7 +192,7 @@ class _Second:
     sample: np.ndarray
 
     @classmethod
-    def of(cls, tile: Tile, capture: Capture, widths: _Widths, first: _First, lattice: Lattice) -> "_Second":
+    def of(cls, tile: Tile, capture: CaptureViews, widths: _Widths, first: _First, lattice: Lattice) -> "_Second":
         total, _ = capture.observe(tile)
         places = tile.positions.reshape(-1, 3)
         sigma = widths.sigma(places[first.texel], first.fit.log_sigma, first.fit.information)
@@ -211,7 +211,7 @@ class _Second:
 class _Gloss:
     """The field of K_s, and how strongly a texel is drawn to it (in units of the texel's sums of squares)."""
 
-    field: Field
+    field: LatticeField
     scatter: float
     noise: float
     level: float  # mean K_d
@@ -249,7 +249,7 @@ class _Passes:
 
     @classmethod
     def of(
-        cls, read: Callable[[int], Tile], tiles: list[int], capture: Capture, lattice: Lattice, freedom: float,
+        cls, read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, freedom: float,
         first: list[_First], threads: int,
     ) -> "_Passes":  # fmt: skip
         """Run the second pass after the first; freedom: factor on the scatter about the neighbours."""
@@ -263,13 +263,13 @@ class _Passes:
 
 
 def _first_pass(
-    read: Callable[[int], Tile], tiles: list[int], capture: Capture, lattice: Lattice, threads: int
+    read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, threads: int
 ) -> list[_First]:
     """Run the first pass over all tiles."""
     return list(in_threads(lambda number: _First.of(read(number), capture, lattice), tiles, threads))
 
 
-def _third(tile: Tile, capture: Capture, widths: _Widths, gloss: _Gloss, first: _First) -> Parameters:
+def _third(tile: Tile, capture: CaptureViews, widths: _Widths, gloss: _Gloss, first: _First) -> Parameters:
     """Run pass 3 on a tile: fit K_d and K_s with the prior, and fill unknown texels."""
     total, _ = capture.observe(tile)
     shape, channels = tile.inside.shape, tile.values.shape[-1]
@@ -305,7 +305,7 @@ def _counts(flags: np.ndarray) -> np.ndarray:
     return np.array([inside.sum(), *(np.sum(inside & ((flags & bit) != 0)) for bit in bits)], np.int64)
 
 
-def _described(first: list[_First], widths: _Widths, gloss: _Gloss, finished: list) -> ObjectFit:
+def _describe(first: list[_First], widths: _Widths, gloss: _Gloss, finished: list) -> ObjectFit:
     found, _ = _totals(finished)
     log_sigma = np.concatenate([f.fit.log_sigma[f.fit.information > 0] for f in first] or [np.empty(0)])
     ended = sum(int(np.sum((f.fit.flags & FitFlag.AT_BOUND) != 0)) for f in first)
@@ -346,7 +346,7 @@ def _scatter(apart: np.ndarray, information: np.ndarray, guess: float) -> float:
 def fit_lambert(
     read: Callable[[int], Tile],
     tiles: Iterable[int],
-    capture: Capture,
+    capture: CaptureViews,
     write: Callable[[int, Parameters], None],
     *,
     threads: int = 1,
@@ -367,7 +367,7 @@ def fit_lambert(
     return replace(found, highlight_share=0.0, noise=float(np.sqrt(mean)))
 
 
-def lambert_tile(tile: Tile, capture: Capture) -> Parameters:
+def lambert_tile(tile: Tile, capture: CaptureViews) -> Parameters:
     """Fit the parameters of one tile; K_d of unobserved texels comes from their neighbours."""
     total, _ = capture.observe(tile)
     shape, channels = tile.inside.shape, tile.values.shape[-1]

@@ -22,7 +22,7 @@ MULTIPLE = 8  # observations a texel are padded to a multiple, with weight 0
 
 
 @dataclass(frozen=True)
-class Observed:
+class TileSamples:
     """The visible observations of a tile's observed texels; every array float32 unless noted.
 
     texel (points,) int32: row * T + column.  values (points, slots, channels).  diffuse (points, slots): what
@@ -45,7 +45,7 @@ class Observed:
         return (self.weights > 0).sum(axis=1, dtype=np.int32)
 
 
-def observed(
+def gather(
     values: np.ndarray,
     visible: np.ndarray,
     positions: np.ndarray,
@@ -55,7 +55,7 @@ def observed(
     *,
     encoding: str = "linear",
     bright: np.ndarray | None = None,
-) -> Observed:
+) -> TileSamples:
     """Gather a tile: values (M, T, T, channels) linear, visible (M, T, T), positions and normals (T, T, 3).
 
     centres (M, 3): of the cameras; lamps: one an observation.  encoding: in which errors count; "srgb" weighs each
@@ -85,7 +85,7 @@ def observed(
         weights *= encoding_slope(level @ mean, "srgb") ** 2
     unknown = ~np.isfinite(picked @ mean)
     weights[unknown] = picked[unknown] = 0
-    return Observed(texel, picked, diffuse, attenuation, alpha, weights, view)
+    return TileSamples(texel, picked, diffuse, attenuation, alpha, weights, view)
 
 
 def _slots(visible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -133,22 +133,22 @@ class Tile:
 
 
 @dataclass(frozen=True)
-class Capture:
+class CaptureViews:
     """The camera's centre (M, 3) and the lamp of every observation; `encoding` in which errors count."""
 
     centres: np.ndarray
     lamps: list[ViewLamp]
     encoding: str = "linear"
 
-    def observe(self, tile: Tile) -> tuple[Observed, Observed | None]:
+    def observe(self, tile: Tile) -> tuple[TileSamples, TileSamples | None]:
         """Gather the tile's observations, and those of its specular component where it has one."""
         area = tile.visible & tile.inside[None]
         arguments = (area, tile.positions, tile.normals, self.centres, self.lamps)
         if tile.specular is None:
-            return observed(tile.values, *arguments, encoding=self.encoding), None
+            return gather(tile.values, *arguments, encoding=self.encoding), None
         bright = tile.values + tile.specular
         first, second = (
-            observed(part, *arguments, encoding=self.encoding, bright=bright) for part in (tile.values, tile.specular)
+            gather(part, *arguments, encoding=self.encoding, bright=bright) for part in (tile.values, tile.specular)
         )
         return first, second
 
@@ -158,18 +158,18 @@ class Capture:
         tile = tile.joined
         for o in np.flatnonzero(tile.visible.reshape(len(tile.visible), -1).any(axis=1)):
             seen = tile.visible[o] & tile.inside
-            error = self.left(parameters, tile, int(o), seen)
+            error = self.subtract_prediction(parameters, tile, int(o), seen)
             error = error[np.isfinite(error)]
             total += float(np.sum(error.astype(np.float64) ** 2))
             count += error.size
         return total, count
 
-    def left(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
-        """Subtract the encoded total radiance of a joined tile from the predicted one, as `predicted`."""
-        found = encode(self.predicted(parameters, tile, observation, texels), self.encoding)
+    def subtract_prediction(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
+        """Subtract the encoded total radiance of a joined tile from the predicted one, as `predict`."""
+        found = encode(self.predict(parameters, tile, observation, texels), self.encoding)
         return found - encode(tile.values[observation][texels], self.encoding)
 
-    def predicted(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
+    def predict(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
         """Predict total radiance (..., channels) of one observation of a tile, or of texels (an index into (T, T))."""
         of_texels = (parameters.kd, parameters.ks, parameters.sigma, tile.positions, tile.normals)
         kd, ks, sigma, places, facing = (array[texels] for array in of_texels)
@@ -198,7 +198,7 @@ class FirstFit:
     flags: np.ndarray
 
 
-def first_fit(total: Observed, specular: Observed | None = None) -> FirstFit:
+def first_fit(total: TileSamples, specular: TileSamples | None = None) -> FirstFit:
     """Fit each texel alone.
 
     total: observations of Lambert + lobe; where `specular` (the same slots) is given, `total` holds the diffuse
@@ -221,7 +221,7 @@ def first_fit(total: Observed, specular: Observed | None = None) -> FirstFit:
     return FirstFit(kd, fit.specular, log_sigma, information, fit.residual, fit.flags)
 
 
-def lambert(data: Observed) -> np.ndarray:
+def lambert(data: TileSamples) -> np.ndarray:
     """Fit K_d (points, channels) float32 alone: least squares weighted by cos(theta_r), Miyazaki et al. (2007), 3.1."""
     weighted = data.weights * data.diffuse
     top = np.einsum("ps,psc->pc", weighted, data.values)
@@ -240,7 +240,7 @@ class Strengths:
     residual: np.ndarray
 
 
-def strengths(total: Observed, sigma: np.ndarray, prior: np.ndarray, precision: float) -> Strengths:
+def strengths(total: TileSamples, sigma: np.ndarray, prior: np.ndarray, precision: float) -> Strengths:
     """Solve for K_d and K_s >= 0 of every texel at its sigma (points,), K_s drawn towards prior (points, channels).
 
     Minimises sum w (y - K_d q - K_s s)^2 + precision (K_s - prior)^2 for each channel, K_d >= 0 and K_s >= 0, s the

@@ -9,22 +9,29 @@ were solved for, so that a captured view is reproduced up to what the coder thre
 tiles in view are decoded, each once for all pictures of a batch.
 """
 
+import json
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.texels.model import ENVIRONMENT, POINT, ViewLamp, predict
+from nishiki.artifacts.artifact import Artifact
+from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.store import Texels
+from nishiki.atlas.surface import texel_points, texel_triangles
+from nishiki.brdf.texels.model import ENVIRONMENT, POINT, CaptureLamps, ViewLamp, predict
 from nishiki.codec.pictures import decode_picture
-from nishiki.codec.store import CodedReader
+from nishiki.codec.store import CodedReader, Residual
 from nishiki.colour.colour import decode as to_linear
 from nishiki.colour.colour import encode
-from nishiki.geometry.camera import Camera
+from nishiki.errors import UserError
+from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import camera_between, fit_turn, scale_camera
 from nishiki.geometry.visibility import Raster, interpolate, rasterise
+from nishiki.observations.views import Views, largest_value
 from nishiki.render.display import develop
 from nishiki.render.object.pixels import DepthMaps, bilinear, extend, mix
 from nishiki.render.object.shots import (
@@ -42,9 +49,6 @@ from nishiki.render.object.shots import (
 from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 
-if TYPE_CHECKING:
-    from nishiki.render.object.decoded_object import DecodedObject
-
 OTHER_LIGHT = np.float32(0.02)  # weight of a view in which a texel is in the light and here is not, or the other way
 MOST_PLACES = 1 << 14  # in one look-up by OpenCV, which takes fewer than 2**15
 FOLD_PX = 12
@@ -53,6 +57,74 @@ in place of a hollow's rim. No photograph shows them, and the model is black the
 BATCH_BYTES = 32 << 20  # of pictures in hand while all decoded tiles fit into the cache
 LARGE_BATCH_BYTES = 384 << 20  # once they do not: a tile is decoded again for each batch
 CACHE_BYTES = 256 << 20
+
+
+@dataclass(frozen=True)
+class DecodedObject:
+    """Input of the renderer of one object, and the names of its views and lights."""
+
+    mesh: Mesh
+    atlas: Atlas
+    cameras: list[Camera]
+    residual: Residual
+    lighting: CaptureLamps
+    texel_triangles: np.ndarray  # (tiles, T, T) int32
+    encoding: str
+    channels: int
+    full_turn: bool
+    views: tuple[str, ...]
+    lights: tuple[str, ...]
+    ceiling: float | None
+
+    @classmethod
+    def open(cls, inputs: Mapping[str, Artifact]) -> "DecodedObject":
+        """Open the artifacts of cameras, mesh, texels, reflection and residual; ingest gives the ceiling alone."""
+        texels = Texels(inputs["texels"].folder)
+        lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
+        atlas = texels.atlas
+        mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
+        if len(mesh.triangles) != len(atlas.chart) or [camera.name for camera in cameras] != list(texels.views):
+            raise UserError(
+                f"{inputs['texels'].folder}: the texels are of {len(atlas.chart)} triangles and {len(texels.views)} "
+                f"views, mesh and cameras of {len(mesh.triangles)} and {len(cameras)}; expected the same ones. Remedy: "
+                "give artifacts that were made from one another"
+            )
+        residual, triangles = Residual(inputs["residual"].folder), texel_triangles(atlas)
+        names = tuple(texels.views), tuple(texels.lights)
+        ceiling = largest_value(Views(inputs["ingest"].folder)) if "ingest" in inputs else None
+        described = texels.encoding, texels.channels, texels.full_turn, *names, ceiling
+        return cls(mesh, atlas, cameras, residual, CaptureLamps.from_dict(lighting), triangles, *described)
+
+    def renderer(self, *, mesh: Mesh | None = None, **options) -> "ObjectRenderer":
+        """Make a renderer of the object; `mesh`: the same triangles at other places; options as of `ObjectRenderer`."""
+        mesh = mesh or self.mesh
+
+        def geometry(tile: int):
+            points = texel_points(mesh, self.atlas, self.texel_triangles, slice(tile, tile + 1))
+            return tuple(values[0] for values in points)
+
+        return ObjectRenderer(self, (mesh, geometry), **options)
+
+    def numbers(self, names) -> frozenset[int]:
+        """Return places of named views in the order of the turn; UserError for unknown names."""
+        return frozenset(self.number(name) for name in names)
+
+    def number(self, name: str) -> int:
+        """Return place of a named view."""
+        if name not in self.views:
+            known = ", ".join(self.views[:12]) + (", ..." if len(self.views) > 12 else "")
+            raise UserError(f"view {name!r}: expected one of {known}. Remedy: correct the name in the settings")
+        return self.views.index(name)
+
+    def light_weights(self, weights: Mapping[str, float]) -> tuple[tuple[int, float], ...]:
+        """Return (place, weight) of named lights; the first light alone where none is named."""
+        unknown = [name for name in weights if name not in self.lights]
+        if unknown:
+            raise UserError(
+                f"lights: expected names among {', '.join(map(repr, self.lights))}, found {unknown[0]!r}. Remedy: "
+                "correct the name in the settings"
+            )
+        return tuple((self.lights.index(name), float(w)) for name, w in weights.items()) or ((0, 1.0),)
 
 
 class ObjectRenderer:
@@ -70,7 +142,7 @@ class ObjectRenderer:
 
     def __init__(
         self,
-        decoded: "DecodedObject",
+        decoded: DecodedObject,
         surface: tuple[Mesh, Callable],
         *,
         without: frozenset[int] = frozenset(),
@@ -152,7 +224,7 @@ class ObjectRenderer:
             if self.pictures is not None and shots:
                 keys = {(int(view), light) for shot in shots for view in shot.views.views for light, _ in shot.lights}
                 self._lenders = {
-                    key: self._lenders.get(key) or self._decoded(self.pictures, *key) for key in sorted(keys)
+                    key: self._lenders.get(key) or self._decode_picture(self.pictures, *key) for key in sorted(keys)
                 }
         tiles = sorted({tile for prepared in batch for tile in prepared.slots})
         over_items(lambda tile: self._draw(tile, batch), tiles, self.threads)
@@ -186,7 +258,7 @@ class ObjectRenderer:
             kd, ks, sigma = (values[chosen] for values in flat.parameters)
             diffuse, gloss = lamp.predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen])
             return encode(diffuse + gloss, self.encoding)
-        coded, views = self._modelled(flat, chosen, shot.camera, lamp), shot.views.views
+        coded, views = self._evaluate_model(flat, chosen, shot.camera, lamp), shot.views.views
         if not self.model_only and self._blends(shot):
             seen = [self.depths.visible(flat.positions[chosen], flat.normals[chosen], self.cameras[v]) for v in views]
             weights = shot.views.weights.astype(np.float32)
@@ -199,7 +271,7 @@ class ObjectRenderer:
         lent = residual.values[places[:, None], residual.texel[chosen]]
         return coded + (lent[0] if len(views) == 1 else mix(lent, np.stack(seen), weights))
 
-    def _modelled(self, flat: DecodedTile, chosen: np.ndarray, camera: Camera, lamp) -> np.ndarray:
+    def _evaluate_model(self, flat: DecodedTile, chosen: np.ndarray, camera: Camera, lamp) -> np.ndarray:
         """Evaluate the model (m, channels) float32 at chosen texels of a tile, encoded."""
         kd, ks, sigma = (values[chosen] for values in flat.parameters)
         diffuse, gloss = predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen], camera.centre, lamp)
@@ -214,13 +286,13 @@ class ObjectRenderer:
         import cv2
 
         (shot, lamp, light), positions, normals = of, flat.positions[chosen], flat.normals[chosen]
-        lit, lent = self._lit(lamp, positions, normals), []
+        lit, lent = self._find_lit(lamp, positions, normals), []
         for view, sees in zip(shot.views.views, seen, strict=True):
             camera, own = self.cameras[view], self.lighting.lamp(self.cameras[view], light)
             picture, bare = self._lenders[int(view), light]
             places = camera.project(positions)[0].astype(np.float32)[:, None]
-            there = self._lit(own, positions, normals)
-            lent.append(-self._modelled(flat, chosen, camera, own) * there[:, None])
+            there = self._find_lit(own, positions, normals)
+            lent.append(-self._evaluate_model(flat, chosen, camera, own) * there[:, None])
             sees *= np.where(there == lit, np.float32(1), OTHER_LIGHT)
             for first in range(0, len(places), MOST_PLACES):
                 some = slice(first, first + MOST_PLACES)
@@ -231,13 +303,13 @@ class ObjectRenderer:
         total = (weights[:, None] * seen).sum(axis=0)
         return coded * lit[:, None] + np.where(total > 1e-6, 1, 0)[:, None] * mix(np.array(lent), seen, weights)
 
-    def _lit(self, lamp: ViewLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def _find_lit(self, lamp: ViewLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Compute (m,) float32: 1 at points lit by a lamp, 0 in its cast shadow; fitted lighting has no shadows."""
         if lamp.form == ENVIRONMENT:
             return np.ones(len(positions), np.float32)
         return self.lit.visible(lamp.vector, lamp.vector[None], positions, normals, near=lamp.form == POINT)
 
-    def _decoded(self, pictures: CodedReader, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
+    def _decode_picture(self, pictures: CodedReader, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
         """Decode a view's picture (channels, rows, columns), and where outline and surface differ (uint8)."""
         shape = self.cameras[view].rows, self.cameras[view].columns
         found = decode_picture(pictures, view, light, shape)
@@ -337,7 +409,7 @@ def block_mean(values: np.ndarray, size: int) -> np.ndarray:
     return blocks.mean(axis=(1, 3), dtype=np.float32)
 
 
-def reduced(linear: np.ndarray, covered: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+def reduce_blocks(linear: np.ndarray, covered: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Average each block, where samples that are not covered count as black; return its covered part too."""
     part = block_mean(covered[..., None].astype(np.float32), size)
     sums = block_mean(np.where(covered[..., None], linear, np.float32(0)), size)
@@ -372,5 +444,5 @@ def frames(
     along = places(len(renderer.cameras), frames_per_step, closed=renderer.turn.closed)
     shots = (lit_by(renderer.between(view, fraction, scale=scale), lights) for view, fraction in along)
     for picture in renderer.render(shots):
-        linear, alpha = reduced(picture.linear, picture.covered, supersampling)
+        linear, alpha = reduce_blocks(picture.linear, picture.covered, supersampling)
         yield develop(linear, alpha, background=background).pixels

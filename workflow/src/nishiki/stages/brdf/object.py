@@ -9,10 +9,10 @@ from nishiki.artifacts.stage import Context
 from nishiki.atlas.store import Texels
 from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.environment import Sample, sample_texels, settle
-from nishiki.brdf.texels.model import Lighting, factors
+from nishiki.brdf.texels.model import CaptureLamps, factors
 from nishiki.brdf.texels.object_fit import fit_lambert, fit_object
 from nishiki.brdf.texels.parameters import ParameterWriter
-from nishiki.brdf.texels.texel_fit import Capture, Tile
+from nishiki.brdf.texels.texel_fit import CaptureViews, Tile
 from nishiki.colour.colour import encoding_slope
 from nishiki.errors import UserError
 from nishiki.model_selection.decision import Decision, decide_object_gloss, economy, unseen_gain
@@ -34,7 +34,7 @@ def run(context: Context) -> dict:
         lighting, sample, cameras, light_of, falloff=settings.falloff, encoding=texels.encoding,
         beside=settings.lighting == "auto",
     )  # fmt: skip
-    capture = Capture(
+    capture = CaptureViews(
         np.array([camera.centre for camera in cameras]),
         [lighting.lamp(camera, int(light)) for camera, light in zip(cameras, light_of, strict=True)],
         texels.encoding,
@@ -67,7 +67,7 @@ def run(context: Context) -> dict:
     }
 
 
-def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, Decision]:
+def shows_gloss(sample: Sample, capture: CaptureViews, setting: str) -> tuple[bool, Decision]:
     """Decide whether to fit the specular part, by the setting or a sample of texels; return the decision too."""
     if setting != "auto":
         return setting == "keep", decide_object_gloss(None, setting)
@@ -87,11 +87,11 @@ def shows_gloss(sample: Sample, capture: Capture, setting: str) -> tuple[bool, D
     return gain.keep, decide_object_gloss(gain, setting)
 
 
-def lamps(texels: Texels, views: Views, kind: str) -> tuple[Lighting, list, np.ndarray]:
+def lamps(texels: Texels, views: Views, kind: str) -> tuple[CaptureLamps, list, np.ndarray]:
     """Return the stated lighting, the camera of every observation and the index of its light."""
     count = len(texels.lights)
     stated = {"camera": {"kind": "camera"}, "fitted": {"kind": "unknown"}}.get(kind, views.lamp)
-    lighting = Lighting.from_capture(stated, lights=count, unit=views.unit)
+    lighting = CaptureLamps.from_capture(stated, lights=count, unit=views.unit)
     cameras = list(texels.cameras)
     if texels.observations != count * len(cameras):
         raise UserError(

@@ -24,7 +24,7 @@ from nishiki.evaluate.object_photographs import Photographs
 from nishiki.formats.textured_surface import INDEX, NORMAL_REFLECTANCE, SurfaceLook, TexturedMesh, quantise, sample
 from nishiki.geometry.visibility import rasterise
 from nishiki.render.display import three_channels
-from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.renderer import DecodedObject
 from nishiki.stages.export.registry import METRES, CodedErrors, ExportedSurface, GltfLook
 
 GAP = 2  # texels between two charts

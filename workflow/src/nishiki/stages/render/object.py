@@ -13,8 +13,7 @@ from nishiki.render.display import (
     write_png,
     write_video,
 )
-from nishiki.render.object.decoded_object import DecodedObject
-from nishiki.render.object.renderer import ObjectRenderer, coverage, frames
+from nishiki.render.object.renderer import DecodedObject, ObjectRenderer, coverage, frames
 from nishiki.render.object.shots import FreeLamp, FreeLighting, ObjectPicture, Shot, lit_by
 from nishiki.stages.render import ObjectRenderSettings
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.store import Texels
-from nishiki.brdf.texels.model import Lighting
+from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.brdf.texels.parameters import ParameterMaps
 from nishiki.codec.allocate import (
     SLOPE,
@@ -63,7 +63,7 @@ def run(context: Context) -> dict:
     # what a renderer needs beside the residual
     others = cost_of(mesh, texels.atlas.chart, cameras, fitted["lighting"], {}).parts
     source = ArtifactSource(texels, ParameterMaps(inputs["object_brdf"].folder), settings)
-    lamps = Lighting.from_dict(fitted["lighting"])
+    lamps = CaptureLamps.from_dict(fitted["lighting"])
     pairs = [(camera, light) for light in range(len(texels.lights)) for camera in texels.cameras]
     scene = CodedScene(np.array([camera.centre for camera, _ in pairs]), [lamps.lamp(*pair) for pair in pairs])
     pursuit = Pursuit(rounds=settings.rounds)
@@ -109,10 +109,12 @@ def run(context: Context) -> dict:
         if photographed is not None:
             strayed = pack_strayed([strayed_parts(mesh, *view, photographed) for view in enumerate(cameras)])
             coarse, room = run_pass(COARSER * start, spent=parameters_alone), math.exp(goal) - sum(map(len, strayed))
-            pictures = carried((photographed, scene, design, effort), settings, start, room - coarse.bytes, expected)
+            pictures = code_pictures(
+                (photographed, scene, design, effort), settings, start, room - coarse.bytes, expected
+            )
         encoded, alike = coarse, expected  # decibels of texels of as many bytes
         if pictures is None or expected is None or point_of(pictures).psnr_db < expected + UNSURE_DB:
-            value = partial(measured, target=settings.target)
+            value = partial(measure, target=settings.target)
             encoded = find_step(run_pass, value, goal, start=start, passes=settings.passes, slope=slope)
             alike = point_of(encoded).psnr_db
             if pictures is not None and point_of(pictures).psnr_db > alike:
@@ -167,7 +169,7 @@ def strayed_parts(mesh: Mesh, view: int, camera: Camera, photographed: PictureSo
     return cv2.morphologyEx((missed | bare).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
 
 
-def carried(
+def code_pictures(
     coder: tuple[PictureSource, CodedScene, Design, Effort], settings: ResidualSettings, start: float, room: float,
     expected: float | None,
 ) -> EncodedObject | None:  # fmt: skip
@@ -185,7 +187,7 @@ def carried(
         found = piloted.at_step(step)
         return one_pass(photographed, scene, found, effort, threads=threads(), tiles=tiles, earlier=earlier)
 
-    value = partial(measured, target="bytes")
+    value = partial(measure, target="bytes")
     tiles = piloted.sample(SEARCH_VIEWS)
     share = len(tiles) / sum(refined is not None for refined in piloted.refined)
     sampled = find_step(
@@ -267,7 +269,7 @@ def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str
     return math.log(max(1.0, amounts[settings.target]))
 
 
-def measured(point: RatePoint, target: str) -> float:
+def measure(point: RatePoint, target: str) -> float:
     """Return the quantity of the target, a number that falls with the step."""
     if target == "psnr":
         return point.psnr_db / DECIBELS
@@ -285,13 +287,13 @@ def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float
     tiles = piloted.sample(SEARCH_TILES)
     sampled = find_step(
         lambda step, earlier: run_pass(step, earlier, tiles),
-        partial(measured, target=settings.target),
+        partial(measure, target=settings.target),
         goal,
         start=FIRST_STEP,
         passes=settings.passes,
         share=len(tiles) / seen,
     )
-    values = [measured(point, settings.target) - goal for point in sampled.curve]
+    values = [measure(point, settings.target) - goal for point in sampled.curve]
     slope = slope_of([point.step for point in sampled.curve], values)
     return sampled.design.step, slope, point_of(sampled).psnr_db
 

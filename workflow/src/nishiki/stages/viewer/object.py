@@ -17,7 +17,7 @@ from nishiki.codec.store import CodedReader
 from nishiki.codec.transform import PlaneTransform
 from nishiki.geometry.turn import fit_turn
 from nishiki.observations.views import Views
-from nishiki.render.object.decoded_object import DecodedObject
+from nishiki.render.object.renderer import DecodedObject
 from nishiki.render.object.shots import ball_around, shadow_lift
 from nishiki.report.viewer.page import Blocks, pack_arrays, write_page
 
