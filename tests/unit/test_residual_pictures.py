@@ -13,6 +13,7 @@ from nishiki.codec.solve import Pursuit
 from nishiki.codec.store import PICTURES, STORE, Residual, write_residual
 from nishiki.codec.tile_code import Effort
 from nishiki.errors import UserError
+from nishiki.stages.residual import run
 
 VIEWS, LIGHTS, SHAPE = 3, 2, (90, 70)
 EFFORT = Effort(pursuit=Pursuit(rounds=4, inner=4), refinements=2)
@@ -62,3 +63,19 @@ def test_pictures_of_the_decoder_are_those_of_the_encoder(tmp_path, monkeypatch,
     (tmp_path / PICTURES / "zarr.json").write_text("{}")
     with pytest.raises(UserError):
         Residual(tmp_path)
+
+
+def test_texels_are_compared_with_pictures_over_the_whole_outline(monkeypatch):
+    """A chair whose hull misses a tenth of its outline had 34.5 dB on the rest and 24.5 dB in all."""
+    values, masks = photographs()
+    surface = masks[0] & (np.arange(SHAPE[1]) < 30)
+    monkeypatch.setattr(run, "outline_of", lambda mesh, camera: surface)
+    source = PictureSource(lambda view: (values[view], masks[view]), (0, 2), VIEWS, SHAPE, 3)
+    strayed, sums = run.strayed_parts(None, 0, None, source)
+    beyond = masks[0] & (np.arange(SHAPE[1]) >= 30 + run.RIM)
+    assert strayed[beyond].mean() > 0.9  # opened by two pixels
+    assert run.strayed_parts(None, 1, None, source)[1] == (0, 0, 0.0)
+    errors = np.where(beyond[..., None], values[0], 0.01)[:, masks[0]]
+    assert run.over_outlines(40.0, np.array(sums)) == pytest.approx(-10 * np.log10(np.square(errors).mean()), abs=0.01)
+    assert run.over_outlines(None, np.array(sums)) is None
+    assert run.over_outlines(40.0, np.array((9, 0, 0.0))) == 40.0

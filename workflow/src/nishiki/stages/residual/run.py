@@ -107,7 +107,9 @@ def run(context: Context) -> dict:
         coarse, by_bytes = None, not alone and settings.target != "psnr"
         photographed = picture_source(context, texels, source.kept) if by_bytes else None
         if photographed is not None:
-            strayed = pack_strayed([strayed_parts(mesh, *view, photographed) for view in enumerate(cameras)])
+            parts, sums = zip(*(strayed_parts(mesh, *view, photographed) for view in enumerate(cameras)), strict=True)
+            strayed, missed = pack_strayed(parts), np.sum(sums, axis=0)
+            expected = over_outlines(expected, missed)
             coarse, room = run_pass(COARSER * start, spent=parameters_alone), math.exp(goal) - sum(map(len, strayed))
             pictures = code_pictures(
                 (photographed, scene, design, effort), settings, start, room - coarse.bytes, expected
@@ -117,6 +119,8 @@ def run(context: Context) -> dict:
             value = partial(measure, target=settings.target)
             encoded = find_step(run_pass, value, goal, start=start, passes=settings.passes, slope=slope)
             alike = point_of(encoded).psnr_db
+            if photographed is not None:
+                alike = over_outlines(alike, missed)
             if pictures is not None and point_of(pictures).psnr_db > alike:
                 encoded = coarse
             else:
@@ -157,16 +161,33 @@ def picture_source(context: Context, texels: Texels, kept: np.ndarray) -> Pictur
     return PictureSource(read, tuple(outlines), views, photographs.views.shape, texels.channels)
 
 
-def strayed_parts(mesh: Mesh, view: int, camera: Camera, photographed: PictureSource) -> np.ndarray:
-    """Select (rows, columns) bool: a view's outline RIM pixels beyond the surface, the surface one pixel beyond it."""
+def strayed_parts(
+    mesh: Mesh, view: int, camera: Camera, photographed: PictureSource
+) -> tuple[np.ndarray, tuple[int, int, float]]:
+    """Select (rows, columns) bool: a view's outline RIM pixels beyond the surface, the surface one pixel beyond it.
+
+    Second, the outline's pixels, those beyond the surface, and the sum of their squared codes (means of lights and
+    channels): texels leave them black.
+    """
     import cv2
 
     if view not in photographed.views:
-        return np.zeros(photographed.shape, bool)
-    surface, outline = (each.astype(np.uint8) for each in (outline_of(mesh, camera), photographed.read(view)[1]))
-    missed = (outline > 0) & (cv2.dilate(surface, np.ones((2 * RIM + 1, 2 * RIM + 1), np.uint8)) == 0)
+        return np.zeros(photographed.shape, bool), (0, 0, 0.0)
+    values, inside = photographed.read(view)
+    surface, outline = (each.astype(np.uint8) for each in (outline_of(mesh, camera), inside))
+    missed = inside & (cv2.dilate(surface, np.ones((2 * RIM + 1, 2 * RIM + 1), np.uint8)) == 0)
     bare = (surface > 0) & (cv2.dilate(outline, np.ones((3, 3), np.uint8)) == 0)
-    return cv2.morphologyEx((missed | bare).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
+    strayed = cv2.morphologyEx((missed | bare).astype(np.uint8), cv2.MORPH_OPEN, np.ones((2, 2), np.uint8)) > 0
+    squares = float(np.square(values[:, missed]).mean(axis=(0, 2)).sum()) if missed.any() else 0.0
+    return strayed, (int(inside.sum()), int(missed.sum()), squares)
+
+
+def over_outlines(decibels: float | None, missed: np.ndarray) -> float | None:
+    """Convert decibels over the pixels of texels to those over the outlines; missed: sums of `strayed_parts`."""
+    pixels, beyond, squares = missed
+    if decibels is None or not beyond:
+        return decibels
+    return psnr(((pixels - beyond) * 10 ** (-decibels / 10) + squares) / pixels, 1)
 
 
 def code_pictures(
