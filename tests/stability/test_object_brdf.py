@@ -306,7 +306,7 @@ def test_environment_of_nothing():
 
 
 @case(
-    "CaptureLamps settled on a sample of nothing",
+    "Lighting settled on a sample of nothing",
     hazard="no texel that three views show",
     treatment="what was stated stays; what was not is a lamp at the camera",
     bound=0,

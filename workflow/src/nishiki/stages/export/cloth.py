@@ -42,7 +42,7 @@ PAIRS = 1500
 """Number of pairs of light and view in the fit."""
 LEAST = np.array([0, 0, 0, 0.05, 0.0, 0, 0, 0, 0])
 MOST = np.array([1, 1, 1, 1.0, 1.0, 1, 25, 25, 25])
-"""Bounds of the parameters, in the order of `of_parameters`."""
+"""Bounds of the parameters, in the order of `GltfCloth.from_parameters`."""
 STARTS = ((0.35, 0.7), (0.6, 0.4))
 """Initial roughness and anisotropy strength of the fit, along either yarn."""
 
