@@ -209,7 +209,13 @@ def _run(
     if arguments.part is not None and not isinstance(run, TiledStage):
         raise UserError(f"--part: {model.STAGE} cannot be divided")
     part = None if arguments.part is None else StagePart.parse(arguments.part)
-    target = arguments.output if part else _target(arguments.output, key)
+    target = arguments.output
+    if not part and target.name == MANIFEST:
+        target = target.parent
+        if target.name != key:
+            raise UserError(f"{target}: the inputs differ from the plan and give the key {key}. Remedy: run again")
+    elif not part:
+        target /= key
     joins = [name for name in stands_for if fields and all(name in made for made in fields.values())]
     stamp = {"scene": arguments.scene, "stage": model.STAGE, "key": key, "version": PROJECT_VERSION}
     with ArtifactWriter(target) as output:
@@ -270,15 +276,6 @@ def _json(text: str, where: str) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise UserError(f"{where}: expected a JSON object, found {text!r}")
     return value
-
-
-def _target(output: Path, key: str) -> Path:
-    """Return the folder of the artifact. Raises UserError where the inputs give another key than the workflow has."""
-    if output.name != MANIFEST:
-        return output / key
-    if output.parent.name != key:
-        raise UserError(f"{output.parent}: the inputs differ from the plan and give the key {key}. Remedy: run again")
-    return output.parent
 
 
 CELL = re.compile(r"(?:^|[,;\t ])[+-]?(?:nan|inf|infinity)(?=$|[,;\t ])", re.IGNORECASE | re.MULTILINE)

@@ -192,8 +192,14 @@ def register_run(
         for record in met:
             _clear_up(record, alive, tell)
         run = _register(results, scenes, unclean=any(record.unclean for record in met))
-        for record in met:
-            _forget(record, scenes)
+        for record in met:  # this run's own replaces them; of a killed run, what concerns other scenes is kept
+            others = record.scenes - scenes
+            if not others or not record.unclean:
+                record.path.unlink(missing_ok=True)
+                continue
+            half = record.path.with_suffix(".part")
+            half.write_text(json.dumps({**record.facts, "scenes": sorted(others)}, indent=1, sort_keys=True) + "\n")
+            os.replace(half, record.path)
     try:
         yield run
     except KeyboardInterrupt:
@@ -288,17 +294,6 @@ def _write(descriptor: int, facts: dict[str, Any]) -> None:
     os.pwrite(descriptor, data, 0)
     os.ftruncate(descriptor, len(data))
     os.fsync(descriptor)
-
-
-def _forget(record: RunRecord, scenes: set[str]) -> None:
-    """Take away a record that this run's own replaces; of a killed run, what concerns other scenes is kept."""
-    others = record.scenes - scenes
-    if not others or not record.unclean:
-        record.path.unlink(missing_ok=True)
-        return
-    half = record.path.with_suffix(".part")
-    half.write_text(json.dumps({**record.facts, "scenes": sorted(others)}, indent=1, sort_keys=True) + "\n")
-    os.replace(half, record.path)
 
 
 def _is_free(descriptor: int, kind: int) -> bool:

@@ -224,28 +224,24 @@ def _distinct_colours(colours: np.ndarray) -> np.ndarray | None:
     return colours.reshape(-1, colours.shape[2])[first]
 
 
-def _distinct_values(values: np.ndarray) -> list[float]:
-    """List the values of a picture, in order."""
-    import cv2
-
-    if values.dtype.kind == "f":
-        return np.unique(values).tolist()
-    top = np.iinfo(values.dtype).max + 1
-    counts = cv2.calcHist([np.ascontiguousarray(values)], [0], None, [top], [0, top])
-    return np.flatnonzero(counts).astype(float).tolist()
-
-
 def _cut_values(values: np.ndarray, name: str) -> tuple[np.ndarray, list[Problem]]:
     """Select pixels from the middle of the range up (rows, columns) bool; warn where values other than two occur.
 
     Small integers are numbers of parts: all but 0 are the object. A picture of one value is all object, or none if 0.
     Smooth edges of a pixel or two move the outline by less than a pixel, and are no reason to warn.
     """
+    import cv2
+
     whole = values.dtype.kind == "u"
     broken = 0 if whole else int((~np.isfinite(values)).sum())
     if broken:
         values = np.where(np.isfinite(values), values, 0)
-    levels = _distinct_values(values)
+    if values.dtype.kind == "f":
+        levels = np.unique(values).tolist()
+    else:
+        top = np.iinfo(values.dtype).max + 1
+        counts = cv2.calcHist([np.ascontiguousarray(values)], [0], None, [top], [0, top])
+        levels = np.flatnonzero(counts).astype(float).tolist()
     low, high = levels[0], levels[-1]
     numbered = whole and low == 0 and high < SMALL_LABELS
     inside = values > 0 if low == high or numbered else values >= (low + high) / 2
@@ -254,8 +250,6 @@ def _cut_values(values: np.ndarray, name: str) -> tuple[np.ndarray, list[Problem
         reach = (high - low) / 4
         other = (values != low) & (values != high)
         unsure = ((values > low + reach) & (values < high - reach)).mean()
-        import cv2
-
         square, mask = np.ones((5, 5), np.uint8), inside.astype(np.uint8)
         away = other & (cv2.erode(mask, square) == cv2.dilate(mask, square))  # from the outline by two pixels or more
         if numbered or away.sum() > STRAY * other.sum():

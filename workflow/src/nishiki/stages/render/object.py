@@ -50,7 +50,12 @@ def run(context: Context) -> dict:
 def own_lamps(settings: ObjectRenderSettings) -> FreeLighting | None:
     """Return the lamps of the settings; None where those of the capture light the object."""
     if not settings.lamps:
-        _refuse_what_needs_lamps(settings)
+        for name in ("around", "shadows", "shadow_rays"):
+            if getattr(settings, name) != ObjectRenderSettings.model_fields[name].default:
+                raise UserError(
+                    f"object_render: `{name}` is set without `lamps`, and goes with lamps of one's own alone. "
+                    f"Remedy: name a lamp (intensity 0 for light from all around alone), or remove `{name}`"
+                )
         return None
     if settings.lights:
         raise UserError(
@@ -68,17 +73,6 @@ def own_lamps(settings: ObjectRenderSettings) -> FreeLighting | None:
         for lamp in settings.lamps.values()
     )
     return FreeLighting(lamps, settings.around, settings.shadows, settings.shadow_rays)
-
-
-def _refuse_what_needs_lamps(settings: ObjectRenderSettings) -> None:
-    """Raise UserError where settings that require `lamps` are given without any of them."""
-    fields = ObjectRenderSettings.model_fields
-    for name in ("around", "shadows", "shadow_rays"):
-        if getattr(settings, name) != fields[name].default:
-            raise UserError(
-                f"object_render: `{name}` is set without `lamps`, and goes with lamps of one's own alone. "
-                f"Remedy: name a lamp (intensity 0 for light from all around alone), or remove `{name}`"
-            )
 
 
 def stills(decoded: DecodedObject, renderer: ObjectRenderer, settings: ObjectRenderSettings) -> list[tuple[str, Shot]]:
