@@ -317,6 +317,22 @@ def test_dark_frames_that_hold_light_are_refused(tmp_path, level, refused):
     assert ("dark-bright" in {p.kind for p in check_capture(tmp_path / "c", level="full")}) == refused
 
 
+@pytest.mark.parametrize("with_dark", [False, True])
+def test_noise_of_floats_in_a_unit_of_their_own_is_no_light_of_dark_frames(tmp_path, with_dark):
+    """Black around the object, less a bias of the sensor, is below 0 in half of its samples."""
+    draw, frames = np.random.default_rng(1), tmp_path / "s"
+    object_alone = np.arange(COLUMNS)[:, None] >= COLUMNS // 3
+    for folder, pictures in ((frames, [seen(light) * object_alone for light in lamps()]), (tmp_path / "d", [0.0] * 3)):
+        folder.mkdir()
+        for j, picture in enumerate(pictures):
+            noisy = 1000 * (picture + draw.normal(0, 0.001, (ROWS, COLUMNS, 3)))
+            cv2.imwrite(str(folder / f"p{j:02d}.tif"), noisy.astype(np.float32))
+    rows = [f"p{j:02d}.tif {x} {y} {z}" for j, (x, y, z) in enumerate(lamps())]
+    (frames / "lights.lp").write_text("\n".join([str(LAMPS), *rows]))
+    convert(frames, tmp_path / "c", **({"dark": tmp_path / "d"} if with_dark else {}))
+    assert "dark-bright" not in {p.kind for p in check_capture(tmp_path / "c", level="full")}
+
+
 def test_too_few_lamps_are_refused(tmp_path):
     pictures = [seen(light) if j < 2 else 0 * seen(light) for j, light in enumerate(lamps(4))]
     convert(write_set(tmp_path / "s", pictures), tmp_path / "c")

@@ -36,8 +36,9 @@ LONGEST = 256  # pixels of a reduced photograph along its longer side: relief is
 CELLS = 3  # a side, of a reduced pixel, whose codes are averaged before they are decoded: a curve is straight over them
 INSIDE = 0.95  # of a reduced pixel that must show the object
 LEAST_MISFIT = 0.02  # of a photograph that repeats another one: an even object looks alike under many lamps
-DARKER, UNLIKE, MOST_DARKER = 1 / 255, 0.2, 0.05  # of full scale and of the dark level, below which samples are darker
-# than dark frames: a code of 8 bits, and what sensors warm up; share of such samples that their noise does not reach
+DARKER, UNLIKE = 1 / 255, 0.2  # of full scale and of the dark level, by which a sample must lie below that level to
+# count as darker: a code of 8 bits, and the drift of warm sensors
+MOST_DARKER = 0.05  # share of such samples in a photograph, which noise does not reach
 LEAST_IMPROVEMENT = 0.07  # of the misfit that undoing a movement takes away: 0.11 and more for shifts of 1.2 pixels of
 # the measured sets, 0.055 on the fossil, whose low lamps shift the texture of its relief
 
@@ -134,7 +135,9 @@ class ReducedPhotographs:
         if frame.role == "white":
             self.boards[place] = values / (frame.exposure or 1.0)
             return
-        self.darker[frame.file] = float(np.mean(values < -np.maximum(UNLIKE * dark, DARKER)))
+        if dark.any():  # full scale of floats is that of the photograph: noise about 0 in any unit is no dark level
+            least = DARKER * np.nanmax(values, initial=1.0)
+            self.darker[frame.file] = float(np.mean(values < -np.maximum(UNLIKE * dark, least)))
         if self.places is None:
             self.places = choose_places(np.nan_to_num(values.mean(axis=2)), self.inside, self.step, self.part)
         if self.gain is None:
@@ -276,7 +279,7 @@ def dark_problems(darker: dict[str, float]) -> list[Problem]:
     if not darker or np.median(list(darker.values())) < MOST_DARKER:  # a single one may be black
         return []
     what = f"{100 * darker[file]:.0f} % of the photograph is darker than the dark frames or camera.black_level"
-    remedy = "Photograph the dark frames again with the lens capped, or leave them out"
+    remedy = "Photograph dark frames with the lens capped, or leave them out; correct camera.black_level if set"
     return [error("dark-bright", file, what, remedy=remedy)]
 
 
@@ -347,7 +350,7 @@ def useless_photographs(judgement: Judgement, found: Consistency | None) -> dict
         if worse not in useless and other not in useless and found.residual[worse] > LEAST_MISFIT:
             useless[worse] = ("photograph-repeated", f"it shows the lamp of {judgement.names[other]}")
     for j, angle in found.find_strangers(judgement.directions).items():
-        reason = f"the others contradict it, and its light seems to come from {angle:.0f} degrees beside its lamp"
+        reason = f"the others contradict it, and its light seems to come from {angle:.0f} degrees off its lamp"
         useless.setdefault(j, ("photograph-contradicts", reason))
     return useless
 
