@@ -242,6 +242,20 @@ def test_one_lamp_of_half_the_strength_does_not_turn_rough_matter(data, tmp_path
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("chosen", [(4, 5, 6, 7, 8, 9), (1, 4, 7, 9, 10, 11)])
+def test_few_equal_lamps_in_a_narrow_cone_are_left_as_they_are(data, tmp_path, chosen):
+    """Their probable strengths deviate by 14 %, nearly all of it linear over the directions."""
+    folder = tmp_path / "s"
+    folder.mkdir()
+    lines = (data / "uw_gray" / "lights.lp").read_text().splitlines()[1:]
+    (folder / "lights.lp").write_text("\n".join([str(len(chosen)), *(f"gray.{j}.png {lines[j]}" for j in chosen)]))
+    for name in (*chosen, "mask"):
+        shutil.copy(data / "uw_gray" / f"gray.{name}.png", folder)
+    _, diagnostics, _ = digitise(folder, tmp_path)
+    assert not diagnostics["corrections"]["done"]["gains"]
+
+
+@pytest.mark.slow
 def test_failed_lamps_and_repeated_photographs_are_left_out(clean, tmp_path):
     pictures = [seen(light) for light in lamps()]
     pictures[4] = np.zeros_like(pictures[4])
