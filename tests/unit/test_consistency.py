@@ -1,5 +1,7 @@
 """Every photograph against its prediction from the others: faults are measured, sound sets are silent."""
 
+from dataclasses import replace
+
 import cv2
 import numpy as np
 import pytest
@@ -106,6 +108,18 @@ def test_a_lamp_elsewhere_is_measured():
     result = examine_photographs(values, stated)
     assert degrees(result.direction[2], directions[2]) < 6
     assert degrees(result.direction[9], directions[9]) < 4
+
+
+def test_a_photograph_turned_by_half_is_accused_where_the_law_holds():
+    directions = dome()
+    values = photographs(directions)
+    assert examine_photographs(values, directions).find_strangers(directions) == {}
+    values[4] = values[4, ::-1, ::-1]
+    result = examine_photographs(values, directions)
+    assert set(result.find_strangers(directions)) == {4}
+    badly = replace(result, residual=result.residual * 0.07 / np.nanmedian(result.residual))
+    assert badly.holds(directions)
+    assert badly.find_strangers(directions) == {}
 
 
 def test_too_little_to_predict_is_not_judged():
