@@ -219,10 +219,10 @@ def _some(texts: list[str], between: str) -> str:
 
 
 DEMOS = {
-    "painting": ("painting", "config/config.yaml", "a simulated painting: 40 seconds of processor time"),
-    "jar": ("object", "config/object.yaml", "a simulated jar, 36 views on a turntable: five minutes of processor time"),
+    "painting": ("painting", "config/config.yaml", "a simulated painting: 40 to 70 s of processor time"),
+    "jar": ("object", "config/object.yaml", "a simulated jar, 36 views on a turntable: 5 to 8 min of processor time"),
     "satin": ("satin", "config/cloth.yaml", "a simulated satin, 5,940 photographs: three minutes of processor time"),
-    "rig": ("painting", "config/painting_by_rig.yaml", "a simulated dome and painting: 40 seconds of processor time"),
+    "rig": ("painting", "config/painting_by_rig.yaml", "a simulated dome and painting: 40 to 70 s of processor time"),
 }
 """Preset of the simulator, configuration, and the text printed beforehand; times with compiled kernels."""
 
