@@ -122,6 +122,14 @@ def test_a_photograph_turned_by_half_is_accused_where_the_law_holds():
     assert badly.find_strangers(directions) == {}
 
 
+@pytest.mark.parametrize(("gloss", "seed"), [(0.3, 0), (0.5, 1)])
+def test_strengths_are_not_concluded_from_a_flat_glossy_object(gloss, seed):
+    directions = dome(((6, 15), (6, 40), (6, 70)))
+    result = examine_photographs(photographs(directions, steep=0.02, gloss=gloss, seed=seed), directions)
+    assert np.nanmedian(result.residual) < 0.1
+    assert not result.holds(directions)
+
+
 def test_too_little_to_predict_is_not_judged():
     directions = dome()
     values = photographs(directions)

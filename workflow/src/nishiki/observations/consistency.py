@@ -81,7 +81,7 @@ class Judgement:
         """Boards that belong to the photographs; None where there are none, or where undetermined."""
         pairs = None if self.boards is None else pair_boards(self.grey, self.boards, self.lamps)
         found = self.consistency
-        if self.boards is None or pairs is not None or found is None or not found.holds(self.directions):
+        if self.boards is None or pairs is not None or found is None or not found.holds(self.directions, but_one=True):
             return pairs
         logs, covariance = probable_strengths(found, self.directions)  # one board far off hides the order of all
         excess = np.abs(logs) - np.maximum(ALONE, SURE * np.sqrt(np.diag(covariance)))

@@ -117,7 +117,7 @@ def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> Bo
             order = linear_sum_assignment(cost if fits < FREE else cost + stay)[1]
         if fits >= FREE and (order == last).all():
             break
-    if not (misfit < LARGEST_MISFIT and is_even(fit.gains, directions)):
+    if not (misfit < LARGEST_MISFIT and is_even(fit.gains, directions, but_one=True)):
         return None
     before, after = (levels[0] - of_boards[0, some] for some in (listed, order))
     facing = directions[:, 2]

@@ -88,9 +88,12 @@ class Consistency:
     gain_covariance: np.ndarray  # (lights, lights) float64: of the gains
     matt: np.ndarray  # (lights,) float64: share of the pixels that are further than HIGHLIGHT from the mirror direction
 
-    def holds(self, directions: np.ndarray) -> bool:
-        """Check whether Lambert's law predicts the photographs well enough to conclude anything from its parameters."""
-        return bool(np.nanmedian(self.residual) < LARGEST_MISFIT) and is_even(self.gain, directions)
+    def holds(self, directions: np.ndarray, *, but_one: bool = False) -> bool:
+        """Check whether Lambert's law predicts the photographs well enough to conclude anything from its parameters.
+
+        directions (lights, 3); but_one: see `is_even`.
+        """
+        return bool(np.nanmedian(self.residual) < LARGEST_MISFIT) and is_even(self.gain, directions, but_one=but_one)
 
     def find_strangers(self, directions: np.ndarray) -> dict[int, float]:
         """Find photographs that contradict the others, by number, with the angle (degrees) to the lamp that they show.
@@ -257,10 +260,15 @@ def probable_strengths(found: Consistency, directions: np.ndarray) -> tuple[np.n
     return strengths - np.median(strengths), covariance
 
 
-def is_even(gains: np.ndarray, directions: np.ndarray) -> bool:
-    """Check whether strengths differ no more than lamps do, one of eight or more left out: metal shows some tenfold."""
+def is_even(gains: np.ndarray, directions: np.ndarray, *, but_one: bool = False) -> bool:
+    """Check whether strengths differ no more than those of lamps: on metal some seem ten times as strong.
+
+    gains (lights,), directions (lights, 3); but_one: whether one of eight or more may differ by any factor, as with a
+    white board that is far off. Without boards a flat glossy painting would pass as lamps of unequal strength.
+    """
     burning = np.flatnonzero(gains > FAINT)
-    most = [burning, *(np.delete(burning, k) for k in range(len(burning)) if len(burning) >= FEWEST_JUDGED)]
+    left_out = range(len(burning)) if but_one and len(burning) >= FEWEST_JUDGED else ()
+    most = [burning, *(np.delete(burning, k) for k in left_out)]
     return any(split_course(gains[some], directions[some])[0].std() < MOST_COURSE for some in most)
 
 
