@@ -8,6 +8,7 @@ import zlib
 import cv2
 import numpy as np
 import pytest
+from lit_relief import dome, photographs
 from PIL import Image
 
 import nishiki
@@ -252,6 +253,14 @@ def test_few_equal_lamps_in_a_narrow_cone_are_left_as_they_are(data, tmp_path, c
     for name in (*chosen, "mask"):
         shutil.copy(data / "uw_gray" / f"gray.{name}.png", folder)
     _, diagnostics, _ = digitise(folder, tmp_path)
+    assert not diagnostics["corrections"]["done"]["gains"]
+
+
+@pytest.mark.slow
+def test_gloss_of_a_flat_object_is_no_strength_of_lamps(tmp_path):
+    directions = dome(((6, 15), (6, 40), (6, 70)))
+    pictures = photographs(directions, steep=0.1, gloss=0.5)[..., None].repeat(3, axis=3)
+    _, diagnostics, _ = digitise(write_set(tmp_path / "s", pictures / pictures.max(), directions), tmp_path)
     assert not diagnostics["corrections"]["done"]["gains"]
 
 

@@ -68,6 +68,8 @@ from nishiki.photometric.lambert_fit import solve_normals
 UNEQUAL = 0.06  # deviation of probable log strengths: equal lamps of measured sets of 12 to 96 reached .056
 JUMP = 0.08  # deviation of log gains about a linear course over the directions: with it none of 643 selections
 # of 5 to 12 equal lamps of six measured sets is taken as unequal
+STEEP, COURSE_SHARE = 0.25, 0.75  # deviation of a course from which jumps must be this share of it: gloss on a flat
+# object gave courses of .27 to .50 and shares of .28 to .68, unequal lamps of six measured sets courses up to .20
 ODD_EXPOSURE = 0.1  # of the brightness that a recorded exposure may be off: cameras round to thirds of a stop
 AMBIENT_BIAS = 0.2  # of the estimated light of the room, by which it was off on six measured sets (rms .14)
 
@@ -171,7 +173,8 @@ def _choose_gains(
     if capture.frames_of("white") or capture.intensities is not None or len(off) <= 4 or not significant.any():
         return ones, None, problems
     logs, covariance = probable_strengths(found, capture.directions)
-    if logs.std() < UNEQUAL or split_course(found.gain, capture.directions)[1].std() < JUMP:
+    course, jumps = (part.std() for part in split_course(found.gain, capture.directions))
+    if logs.std() < UNEQUAL or jumps < max(JUMP, COURSE_SHARE * course if course > STEEP else 0):
         return ones, None, problems
     gains, sigma = np.exp(logs), np.sqrt(np.diag(covariance))
     texts = [f"{f.light} {g:.2f} {error_text(s, 2)}" for f, g, s in zip(frames, gains, gains * sigma, strict=True)]

@@ -39,7 +39,7 @@ class Correct(Closed):
     )
 
 
-class IngestSettings(Guarded, stage="ingest", version=6, limits=LIMITS):
+class IngestSettings(Guarded, stage="ingest", version=7, limits=LIMITS):
     """Photographs to linear, white-normalised observations."""
 
     channels: str = Field(
