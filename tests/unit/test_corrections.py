@@ -280,6 +280,7 @@ def test_failed_lamps_and_repeated_photographs_are_left_out(clean, tmp_path):
     assert difference(field, clean) < 2 * ACCURATE  # two lamps less
 
 
+DILIGENT = ("diligent_ball", "diligent_cat")
 STRANGERS = {
     "another curve": lambda picture: np.clip(picture, 0, 1) ** (1 / 2.2),
     "mirrored": lambda picture: picture[:, ::-1],
@@ -302,13 +303,16 @@ def test_a_photograph_that_the_others_contradict_is_left_out(clean, tmp_path, ki
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["uw_cat", "uw_owl", "uw_horse", "uw_gray", "diligent_ball", "diligent_cat"])
+@pytest.mark.parametrize(
+    "name",
+    ["uw_cat", "uw_gray", *(pytest.param(name, marks=pytest.mark.long) for name in ("uw_owl", "uw_horse", *DILIGENT))],
+)
 def test_sound_photographs_contradict_nothing(data, tmp_path, name):
     convert(data / name, tmp_path / "c")
     assert "photograph-contradicts" not in {p.kind for p in check_capture(tmp_path / "c", level="full")}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_many_photographs_that_contradict_the_others_are_not_accused(data, tmp_path):
     """On this part of the fossil 8 of 41 lamps look 20 degrees off: cast shadows are long under low lamps."""
     convert(data / "rti_fossil", tmp_path / "c", region=(1088, 1856, 384, 384))
