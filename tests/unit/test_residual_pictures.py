@@ -76,6 +76,8 @@ def test_texels_are_compared_with_pictures_over_the_whole_outline(monkeypatch):
     assert strayed[beyond].mean() > 0.9  # opened by two pixels
     assert run.strayed_parts(None, 1, None, source)[1] == (0, 0, 0.0)
     errors = np.where(beyond[..., None], values[0], 0.01)[:, masks[0]]
-    assert run.over_outlines(40.0, np.array(sums)) == pytest.approx(-10 * np.log10(np.square(errors).mean()), abs=0.01)
-    assert run.over_outlines(None, np.array(sums)) is None
-    assert run.over_outlines(40.0, np.array((9, 0, 0.0))) == 40.0
+    assert run.rate_over_outlines(40.0, np.array(sums)) == pytest.approx(
+        -10 * np.log10(np.square(errors).mean()), abs=0.01
+    )
+    assert run.rate_over_outlines(None, np.array(sums)) is None
+    assert run.rate_over_outlines(40.0, np.array((9, 0, 0.0))) == 40.0

@@ -109,7 +109,7 @@ def run(context: Context) -> dict:
         if photographed is not None:
             parts, sums = zip(*(strayed_parts(mesh, *view, photographed) for view in enumerate(cameras)), strict=True)
             strayed, missed = pack_strayed(parts), np.sum(sums, axis=0)
-            expected = over_outlines(expected, missed)
+            expected = rate_over_outlines(expected, missed)
             coarse, room = run_pass(COARSER * start, spent=parameters_alone), math.exp(goal) - sum(map(len, strayed))
             pictures = code_pictures(
                 (photographed, scene, design, effort), settings, start, room - coarse.bytes, expected
@@ -120,7 +120,7 @@ def run(context: Context) -> dict:
             encoded = find_step(run_pass, value, goal, start=start, passes=settings.passes, slope=slope)
             alike = point_of(encoded).psnr_db
             if photographed is not None:
-                alike = over_outlines(alike, missed)
+                alike = rate_over_outlines(alike, missed)
             if pictures is not None and point_of(pictures).psnr_db > alike:
                 encoded = coarse
             else:
@@ -166,8 +166,8 @@ def strayed_parts(
 ) -> tuple[np.ndarray, tuple[int, int, float]]:
     """Select (rows, columns) bool: a view's outline RIM pixels beyond the surface, the surface one pixel beyond it.
 
-    Second, the outline's pixels, those beyond the surface, and the sum of their squared codes (means of lights and
-    channels): texels leave them black.
+    Also return the number of the outline's pixels, of those beyond the surface, which texels leave black, and the sum
+    of their squared codes (means of lights and channels).
     """
     import cv2
 
@@ -182,7 +182,7 @@ def strayed_parts(
     return strayed, (int(inside.sum()), int(missed.sum()), squares)
 
 
-def over_outlines(decibels: float | None, missed: np.ndarray) -> float | None:
+def rate_over_outlines(decibels: float | None, missed: np.ndarray) -> float | None:
     """Convert decibels over the pixels of texels to those over the outlines; missed: sums of `strayed_parts`."""
     pixels, beyond, squares = missed
     if decibels is None or not beyond:
