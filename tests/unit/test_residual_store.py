@@ -156,13 +156,13 @@ def test_search_meets_its_target(sphere):
     def run(step, earlier):
         return one_pass(source, scene, found.at_step(step), EFFORT, threads=2, earlier=earlier)
 
-    def size(point):
-        return np.log(point.bytes)
+    def miss(point):
+        return np.log(point.bytes / 9000)
 
-    reached = find_step(run, size, np.log(9000), start=0.02, tolerance=0.03, passes=8)
+    reached = find_step(run, miss, start=0.02, tolerance=0.03, passes=8)
     assert reached.bytes == pytest.approx(9000, rel=0.03)
     assert point_of(reached).bytes in [point.bytes for point in reached.curve]
-    quality = find_step(run, lambda p: p.psnr_db / 8.6859, 34 / 8.6859, start=0.02, tolerance=0.02, passes=8)
+    quality = find_step(run, lambda p: (p.psnr_db - 34) / 8.6859, start=0.02, tolerance=0.02, passes=8)
     assert point_of(quality).psnr_db == pytest.approx(34, abs=0.2)
 
 
@@ -211,8 +211,7 @@ def test_steps_are_found_whatever_the_slope(power):
 
     found = find_step(
         run,
-        lambda p: p.psnr_db / 4.343,
-        -power * np.log(0.004 / 3 ** (1 / power)),
+        lambda p: p.psnr_db / 4.343 + power * np.log(0.004 / 3 ** (1 / power)),
         start=0.08,
         tolerance=0.01,
         passes=12,

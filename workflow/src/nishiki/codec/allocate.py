@@ -293,30 +293,32 @@ def point_of(encoded: EncodedObject, share: float = 1.0) -> RatePoint:
 
 def find_step(
     run: Callable[[float, EncodedObject | None], EncodedObject],
-    value: Callable[[RatePoint], float],
-    goal: float,
+    miss: Callable[[RatePoint], float],
     *,
     start: float,
     passes: int,
     tolerance: float = 0.02,
     share: float = 1.0,
     slope: float = SLOPE,
+    compete: Callable[[RatePoint], bool] | None = None,
 ) -> EncodedObject:
-    """Find the step whose value is nearest to `goal` by Newton's method on the logarithm of the step.
+    """Find the step that misses the target least by Newton's method on the logarithm of the step.
 
-    run: one pass at a step, going on from the pass before. value: falls as the step grows (bytes and kept as
-    logarithms, PSNR as it is). tolerance: of the value. share: of the tiles that a pass covers. slope: of the value,
-    until two passes tell it. At least two passes are made where `passes` allows: a solution that goes on from another
-    is better than one that begins from nothing.
+    run: one pass at a step, going on from the pass before. miss: of a pass, its value less that of the target, which
+    falls as the step grows (bytes and kept as logarithms, PSNR as it is). tolerance: of the value. share: of the tiles
+    that a pass covers. slope: of the value, until two passes tell it. compete: whether the result of further passes may
+    be of use. At least two passes are made where `passes` allows: a solution that goes on from another is better than
+    one that begins from nothing.
     """
     curve, steps, off, encoded, best, least = [], [start], [], None, None, math.inf
     while True:
         encoded = run(steps[-1], encoded)
         curve.append(point_of(encoded, share))
-        off.append(value(curve[-1]) - goal)
+        off.append(miss(curve[-1]))
         if best is None or abs(off[-1]) < least or abs(off[-1]) <= tolerance:
             best, least = encoded, abs(off[-1])
-        if (abs(off[-1]) <= tolerance and len(curve) > 1) or len(curve) >= passes:
+        met = abs(off[-1]) <= tolerance and len(curve) > 1
+        if met or len(curve) >= passes or (compete is not None and not compete(curve[-1])):
             return replace(best, curve=curve)
         slope = slope_of(steps, off, slope)
         steps.append(_next_step(steps, off, slope))

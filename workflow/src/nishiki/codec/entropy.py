@@ -45,8 +45,9 @@ class Model:
 
     def coder(self, data: np.ndarray, *, decoding: bool) -> Coder:
         """Return a coder of bytes (n,) uint8 that starts in this state."""
-        tally, state = np.zeros((CONTEXTS, 2), np.int64), np.zeros(4, np.int64)
-        return Coder(self.chance.copy(), self.seen.copy(), tally, self.weights.copy(), state, data, decoding)
+        tally, state = np.zeros((CONTEXTS, 2), np.int32), np.zeros(4, np.int64)
+        start = self.chance.astype(np.int32), self.seen.astype(np.uint8), tally, self.weights.copy()
+        return Coder(*start, state, data, decoding)
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class CodedBlock:
 
     data: bytes
     ends: np.ndarray  # (bands,) int64: bytes needed for each band and all before it
-    tally: np.ndarray  # (contexts, 2) int64 zeros and ones coded under each context
+    tally: np.ndarray  # (contexts, 2) int32 zeros and ones coded under each context
     weights: np.ndarray  # (groups, inputs) and uses (groups,): mixers at the end
 
 
@@ -148,7 +149,7 @@ def code_flag(some, filled, bands, b, k, c, coder):
     return code_mixed(some, contexts, 3, 0, coder)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _around(plane, band, i, j):
     """Sum twice the magnitude at (i, j) of a band and those of its four neighbours inside the band."""
     r, c = band[0], band[1]
@@ -285,7 +286,7 @@ def train(coded: list[CodedBlock], *, share: float = 0.25, limit: int = 24) -> M
     model = Model.initial()
     if not coded:
         return model
-    tally = sum(part.tally for part in coded)
+    tally = sum(part.tally.astype(np.int64) for part in coded)
     uses = tally.sum(axis=1)
     logit = np.log((tally[:, 1] + 0.4) / (tally[:, 0] + 0.4))
     sure = np.minimum(uses / len(coded) * share, limit)

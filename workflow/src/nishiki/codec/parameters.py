@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.brdf.texels.model import ViewLamp, predict
+from nishiki.brdf.slopes import GRAZING
+from nishiki.brdf.texels.model import ViewLamp, factors, predict
 from nishiki.codec.design import Design, Extent
 from nishiki.codec.rate import quantise
 from nishiki.codec.solve import Footprints, Operator, solve
@@ -81,18 +82,16 @@ class Factors:
 
 
 def model_factors(channels: int, surface: TileSurface, centres, lamps: Sequence[ViewLamp]) -> Factors:
-    """Compute a tile's factors for every observation, from the model with K_d = K_s = 1 and lobes of known width."""
+    """Compute a tile's factors for every observation."""
     shape = surface.inside.shape
-    ones = np.ones((*shape, channels), np.float32)
     irradiance = np.empty((channels, len(lamps), *shape), np.float32)
-    strength, wide = np.empty((2, len(lamps), *shape), np.float32)
+    strength, squared_angle = np.empty((2, len(lamps), *shape), np.float32)
     for o, (centre, lamp) in enumerate(zip(centres, lamps, strict=True)):
-        arguments = (surface.positions, surface.normals, centre, lamp)
-        diffuse, specular = predict(ones, ones, np.full(shape, np.inf, np.float32), *arguments)
-        irradiance[:, o], strength[o] = np.moveaxis(diffuse, -1, 0), specular[..., 0]
-        wide[o] = predict(ones, ones, np.ones(shape, np.float32), *arguments)[1][..., 0]
-    ratio = np.where(strength > 0, wide / np.where(strength > 0, strength, 1), 1)
-    return Factors(irradiance, strength, np.maximum(-2 * np.log(ratio), 0).astype(np.float32))
+        body, angles = factors(surface.positions, surface.normals, centre, lamp, channels)
+        irradiance[:, o] = np.moveaxis(body, -1, 0)
+        strength[o] = angles[..., 0] / np.maximum(angles[..., 1], np.float32(GRAZING))
+        squared_angle[o] = angles[..., 2]
+    return Factors(*(np.nan_to_num(part) for part in (irradiance, strength, squared_angle)))
 
 
 def refine(

@@ -5,7 +5,10 @@ probabilities of several contexts are mixed in the logistic domain by weights th
 Adaptive weighing of context models for lossless data compression, 2005). All arithmetic is in integers, so that a
 decoder on any machine repeats what the encoder computed.
 
-State of a coder, int64: [low, high, place in the bytes, code word]. A context's probability of a one has 22 bits
+Bits are coded within the loops that call for them (inline): passing the arrays on would count references to each, which
+takes longer than the coding.
+
+State of a coder: [low, high, place in the bytes, code word]. A context's probability of a one has 22 bits
 in `chance`; `seen` counts how often it was used, up to a limit, and sets how fast it learns.
 """
 
@@ -21,16 +24,17 @@ FULL_RANGE = 0xFFFFFFFF  # of 32 bits
 UNIT = 65536  # of a chance, 16 bits
 
 
-STRETCH = np.round(np.log((np.arange(4096) + 0.5) / (4095.5 - np.arange(4096))) * 256).astype(np.int64)
-SQUASH = np.clip(np.round(65536 / (1 + np.exp(-np.arange(-3071, 3072) / 256))), 4, 65532).astype(np.int64)
-RATE = np.round(65536 / (np.arange(LIMIT + 1) + 1.6)).astype(np.int64)
+# tables and states are of small types, so that they stay in the processor's first-level cache
+STRETCH = np.round(np.log((np.arange(4096) + 0.5) / (4095.5 - np.arange(4096))) * 256).astype(np.int16)
+SQUASH = np.clip(np.round(65536 / (1 + np.exp(-np.arange(-3071, 3072) / 256))), 4, 65532).astype(np.uint16)
+RATE = np.round(65536 / (np.arange(LIMIT + 1) + 1.6)).astype(np.uint16)
 
 
 class Coder(NamedTuple):
     """The state of an entropy coder, which changes in place: its bytes, data (n,) uint8, and its adaptive models.
 
-    chance, seen (contexts,), tally (contexts, 2) zeros and ones, for training, weights (groups, INPUTS), state (4,):
-    int64.
+    chance (contexts,) int32, seen (contexts,) uint8, tally (contexts, 2) int32 zeros and ones, for training, weights
+    (groups, INPUTS) and state (4,) int64.
     """
 
     chance: np.ndarray
@@ -43,7 +47,7 @@ class Coder(NamedTuple):
     tables: tuple = (STRETCH, SQUASH, RATE)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def code_bit(bit, p_one, state, data, decoding):
     """Encode `bit`, or decode and return one, with probability p_one / 65536 of a one; data (n,) uint8.
 
@@ -103,25 +107,27 @@ def finish(state, data):
     return place
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def code_mixed(bit, contexts, count, group, coder):
     """Code one bit under `count` contexts (places in `chance`), mixed by the weights of `group`; learn from it."""
     stretch, squash, rate = coder.tables
     chance, seen, tally, weight = coder.chance, coder.seen, coder.tally, coder.weights[group]
     total = weight[INPUTS - 1] * 256
     for k in range(count):
-        total += weight[k] * stretch[chance[contexts[k]] >> 10]
+        total += weight[k] * np.int64(stretch[chance[contexts[k]] >> 10])
     total = (total + 32768) >> 16
     total = min(max(total, -3071), 3071)
-    p_one = squash[total + 3071]
+    p_one = np.int64(squash[total + 3071])
     bit = code_bit(bit, p_one, coder.state, coder.data, coder.decoding)
     error = ((bit << 16) - p_one) * 6
+    goal = (bit << 22) - bit
     for k in range(count):
         place = contexts[k]
-        weight[k] += (stretch[chance[place] >> 10] * error + (1 << 19)) >> 20
-        chance[place] += (((bit << 22) - bit - chance[place]) * rate[seen[place]]) >> 16
-        if seen[place] < LIMIT:
-            seen[place] += 1
+        now, uses = np.int64(chance[place]), seen[place]
+        weight[k] += (np.int64(stretch[now >> 10]) * error + (1 << 19)) >> 20
+        chance[place] = now + (((goal - now) * np.int64(rate[uses])) >> 16)
+        if uses < LIMIT:
+            seen[place] = uses + 1
         tally[place, bit] += 1
     weight[INPUTS - 1] += (256 * error + (1 << 19)) >> 20
     return bit

@@ -56,15 +56,11 @@ def expected_bits(coefficients: np.ndarray, step: float, levels: int) -> np.ndar
     shape = coefficients.shape
     values = magnitudes(coefficients, step).reshape(shape[0], shape[1] * shape[2], *shape[3:])
     bands = bands_of(shape[-2], shape[-1], levels)
-    first = np.empty(shape[-2:], np.int64)
-    for top, left, height, width, level, _, _ in bands:
-        first[top : top + height, left : left + width] = min(level, LEVELS - 1) * GRADES
-    amounts = np.zeros(values.shape, np.int32)
+    amounts = np.zeros(values.shape, np.int16)
     neighbourhoods(values, bands, amounts)
-    place = first + GRADE_OF[np.minimum(amounts, len(GRADE_OF) - 1)]
-    others = np.bincount(place[values > 0], minlength=LEVELS * GRADES)
-    zeros = np.bincount(place.ravel(), minlength=LEVELS * GRADES) - others
-    return bits_of(np.stack([zeros, others], axis=-1).reshape(LEVELS, GRADES, 2)).ravel()[place].reshape(shape)
+    tally = np.zeros((LEVELS * GRADES, 2), np.int64)
+    place_grades(values, bands, GRADE_OF, amounts, tally)
+    return bits_of(tally.reshape(LEVELS, GRADES, 2)).ravel().take(amounts).reshape(shape)
 
 
 def bits_of(tally: np.ndarray) -> np.ndarray:
@@ -75,10 +71,37 @@ def bits_of(tally: np.ndarray) -> np.ndarray:
     return np.maximum(np.log2((1 - share) / share) + MORE, 1).astype(np.float32)
 
 
-def magnitudes(coefficients: np.ndarray, step: float) -> np.ndarray:
+@njit(cache=True, nogil=True, error_model="numpy")
+def magnitudes(coefficients, step):
     """Return uint8 magnitudes in steps, at least 1 where not zero, at most 15."""
-    size = np.minimum(np.abs(coefficients) / np.float64(step) + 0.5, 15).astype(np.uint8)
-    return np.maximum(size, coefficients != 0)
+    out = np.zeros(coefficients.shape, np.uint8)
+    sizes, values = out.reshape(-1), coefficients.reshape(-1)
+    for n in range(len(values)):
+        if values[n] != 0:
+            sizes[n] = max(1, int(min(abs(values[n]) / np.float64(step) + 0.5, 15.0)))
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def place_grades(values, bands, grade_of, amounts, tally):
+    """Turn sums of magnitudes into their place among levels and grades; count zeros and others (places, 2) at each."""
+    for b in range(len(bands)):
+        top, left, height, width, level = bands[b, 0], bands[b, 1], bands[b, 2], bands[b, 3], bands[b, 4]
+        first = min(level, LEVELS - 1) * GRADES
+        for c in range(values.shape[0]):
+            for k in range(values.shape[1]):
+                alone = 0
+                for i in range(top, top + height):
+                    size, amount = values[c, k, i], amounts[c, k, i]
+                    for j in range(left, left + width):
+                        place = first
+                        if amount[j] == 0 and size[j] == 0:
+                            alone += 1
+                        else:
+                            place += grade_of[min(amount[j], len(grade_of) - 1)]
+                            tally[place, 1 if size[j] > 0 else 0] += 1
+                        amount[j] = place
+                tally[first, 0] += alone
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

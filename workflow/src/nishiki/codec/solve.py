@@ -82,22 +82,27 @@ class Footprints:
 def bilinear(texels, corner, down, right, columns, out):
     """Interpolate texels (channels, observations * rows * columns) at each pixel n into out[c, n]."""
     for c in range(texels.shape[0]):
-        plane = texels[c]
+        plane, values = texels[c], out[c]
         for n in range(corner.shape[0]):
             at, d, r = corner[n], down[n], right[n]
+            if d == 0 and r == 0:
+                values[n] = plane[at]
+                continue
             top = plane[at] + r * (plane[at + 1] - plane[at])
             low = plane[at + columns] + r * (plane[at + columns + 1] - plane[at + columns])
-            out[c, n] = top + d * (low - top)
+            values[n] = top + d * (low - top)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def bilinear_adjoint(values, corner, down, right, columns, out):
     """Add weight * values[c, n] to out[c, texel]: the transpose of `bilinear`."""
     for c in range(values.shape[0]):
-        plane = out[c]
+        plane, given = out[c], values[c]
         for n in range(corner.shape[0]):
-            at, d, r = corner[n], down[n], right[n]
-            value = values[c, n]
+            at, d, r, value = corner[n], down[n], right[n], given[n]
+            if d == 0 and r == 0:
+                plane[at] += value
+                continue
             low = d * value
             top = value - low
             plane[at + 1] += r * top
@@ -144,19 +149,29 @@ def solve(
     if not iterations or operator.norm == 0:
         left = data - operator.look(samples_of(block, held))
         return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), 0)
-    ahead, momentum = held, 1.0
+    ahead, momentum = held.copy(), 1.0
     pace = dtype.type(1 / (operator.norm * block.bound()))
     for step in range(iterations):
         left = data - operator.look(samples_of(block, ahead))
         gradient = block.adjoint(operator.spread(left).reshape(shape))
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         level = threshold * DESCENT ** max(0.0, 1 - step / (0.6 * iterations))
-        stepped = ahead + pace * gradient
-        new = np.where(np.abs(stepped) <= dtype.type(level), dtype.type(0), stepped)
-        ahead = new + dtype.type((momentum - 1) / following) * (new - held)
-        held, momentum = new, following
+        shrink(ahead, held, gradient, pace, dtype.type(level), dtype.type((momentum - 1) / following))
+        momentum = following
     left = data - operator.look(samples_of(block, held))
     return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), iterations)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shrink(ahead, held, gradient, pace, level, momentum):
+    """Step from `ahead` along the gradient, zero what is within the level; hold the result and go ahead of it."""
+    ahead, held, gradient = ahead.reshape(-1), held.reshape(-1), gradient.reshape(-1)
+    for n in range(len(held)):
+        new = ahead[n] + pace * gradient[n]
+        if abs(new) <= level:
+            new = pace * 0
+        ahead[n] = new + momentum * (new - held[n])
+        held[n] = new
 
 
 def samples_of(block: Block, coefficients: np.ndarray) -> np.ndarray:
@@ -208,7 +223,7 @@ def curvatures(block: Block, density: np.ndarray) -> np.ndarray:
     lengths = squared_lengths(plane, density.astype(np.float64)) * (transfers(plane) / plane.gains**2)
     lengths = lengths.reshape(len(lights), len(views), *plane.shape)
     expected = np.tensordot(lights**2, np.moveaxis(np.tensordot(views**2, lengths, (1, 1)), 1, 0), 1)
-    return np.maximum(expected, FLOOR * expected.max(initial=0)).astype(np.float32)
+    return np.ascontiguousarray(np.maximum(expected, FLOOR * expected.max(initial=0)), np.float32)
 
 
 def pursue(
@@ -244,7 +259,10 @@ def pursue(
     for turn, (level, adding) in enumerate([*((p, True) for p in (*prices, price)), (price, False)]):
         if start is not None or turn >= FLAT_ROUNDS:
             cost[:] = bits(held)
-        gradient = _downhill(left, held, operator, block, effort.ridge) if adding else None
+        gradient = None
+        if adding:
+            gradient = block.adjoint(operator.spread(left).reshape(held.shape))
+            add_scaled(gradient, np.float32(-effort.ridge), held)
         choose(held, gradient, curvature, cost, chosen, np.float32(level))
         left = settle(held, chosen, data, operator, block, effort)
     return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), effort.rounds)
@@ -256,10 +274,9 @@ def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit
     The gradient is computed only where coefficients are chosen.
     """
     left = data - operator.look(samples_of(block, held))
-    kept = chosen.astype(np.float32)
-    ahead = _downhill(left, held, operator, block, effort.ridge, chosen)
-    ahead *= kept
-    energy = first = dot(ahead, ahead)
+    ridge = np.float32(effort.ridge)
+    ahead = block.adjoint(operator.spread(left).reshape(held.shape), chosen)
+    energy = first = restrict(ahead, held, chosen, ridge)
     for step in range(effort.inner):
         if energy <= 1e-6 * first:
             break
@@ -267,49 +284,64 @@ def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit
         bend = dot(seen, seen) + effort.ridge * dot(ahead, ahead)
         if not bend:  # a gradient that is rounding alone can cancel against the last direction
             break
-        stride = energy / bend
-        held += np.float32(stride) * ahead
-        left -= np.float32(stride) * seen
+        stride = np.float32(energy / bend)
+        add_scaled(held, stride, ahead)
+        add_scaled(left, -stride, seen)
         if step + 1 < effort.inner:
-            gradient = _downhill(left, held, operator, block, effort.ridge, chosen)
-            gradient *= kept
-            before, energy = energy, dot(gradient, gradient)
-            ahead *= np.float32(energy / before)
-            ahead += gradient
+            gradient = block.adjoint(operator.spread(left).reshape(held.shape), chosen)
+            before, energy = energy, restrict(gradient, held, chosen, ridge)
+            add_scaled(gradient, np.float32(energy / before), ahead)
+            ahead = gradient
     return left
 
 
-def _downhill(
-    left: np.ndarray, held: np.ndarray, operator: Operator, block: Block, ridge: float, chosen: np.ndarray | None = None
-) -> np.ndarray:
-    out = block.adjoint(operator.spread(left).reshape(held.shape), chosen)
-    out -= np.float32(ridge) * held
-    return out
-
-
-def choose(
-    held: np.ndarray,
-    gradient: np.ndarray | None,
-    curvature: np.ndarray,
-    cost: np.ndarray,
-    chosen: np.ndarray,
-    level: np.float32,
-) -> None:
+@njit(cache=True, nogil=True, error_model="numpy")
+def choose(held, gradient, curvature, cost, chosen, level):
     """Keep the coefficients that are worth `level` times their cost, zero the others, in place.
 
-    held, gradient, cost, chosen: of the coefficients' shape; curvature: of all channels. Without a gradient
+    held, gradient, cost, chosen: of the coefficients' shape; curvature: of all channels. Without a gradient (None)
     coefficients are only removed.
     """
-    best = held if gradient is None else held + gradient / curvature
-    worth = curvature * best * best > level * cost
-    chosen[:] = worth if gradient is not None else worth & (chosen > 0)
-    held[chosen == 0] = 0
+    bend = curvature.reshape(-1)
+    for c in range(len(held)):
+        old, price, kept = held[c].reshape(-1), cost[c].reshape(-1), chosen[c].reshape(-1)
+        slope = old if gradient is None else gradient[c].reshape(-1)
+        for n in range(len(bend)):
+            best = old[n] if gradient is None else old[n] + slope[n] / bend[n]
+            worth = bend[n] * best * best > level * price[n]
+            kept[n] = worth if gradient is not None else worth and kept[n] > 0
+            if not kept[n]:
+                old[n] = 0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_scaled(target, factor, values):
+    """Add factor * values to an array in place."""
+    target, values = target.reshape(-1), values.reshape(-1)
+    for n in range(len(target)):
+        target[n] += factor * values[n]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def restrict(gradient, held, chosen, ridge):
+    """Make a gradient that of the chosen coefficients, with the ridge, in place; return the sum of its squares."""
+    out, old, kept = gradient.reshape(-1), held.reshape(-1), chosen.reshape(-1)
+    for n in range(len(out)):
+        out[n] = out[n] - ridge * old[n] if kept[n] else 0
+    return dot(out, out)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def dot(one, other):
-    """Compute the inner product in double precision, in a fixed order."""
-    total = 0.0
-    for n in range(one.size):
-        total += one.flat[n] * other.flat[n]
-    return total
+    """Compute the inner product in double precision, in a fixed order: four sums that do not wait for one another."""
+    one, other = one.reshape(-1), other.reshape(-1)
+    a = b = c = d = 0.0
+    whole = len(one) // 4 * 4
+    for n in range(0, whole, 4):
+        a += one[n] * other[n]
+        b += one[n + 1] * other[n + 1]
+        c += one[n + 2] * other[n + 2]
+        d += one[n + 3] * other[n + 3]
+    for n in range(whole, len(one)):
+        a += one[n] * other[n]
+    return a + b + (c + d)

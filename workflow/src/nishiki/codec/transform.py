@@ -10,6 +10,7 @@ corner), the observation axis by frequency. The basis vectors have unit length, 
 inverse is the transpose and the energy of what is left out is the error (Parseval).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 
@@ -17,34 +18,42 @@ import numpy as np
 from numba import njit
 
 from nishiki.errors import UserError
+from nishiki.lanes import LANES, load, splat, store, turn
 
 NEGLIGIBLE = 1e-15  # rounding of weights near 1
 
 
 @dataclass(frozen=True)
 class SparseRows:
-    """A square matrix by its rows: `index` (n, k) int32 columns, `weight` (n, k) float64, unused places weight 0."""
+    """The square matrix of each level by its rows, half as many from level to level.
+
+    index (levels, n, k) int32 columns; weight (levels, n, k) float64, unused places weight 0.
+    """
 
     index: np.ndarray
     weight: np.ndarray
 
     @classmethod
-    def of(cls, matrix: np.ndarray) -> "SparseRows":
+    def of(cls, matrices: Sequence[np.ndarray]) -> "SparseRows":
         """Keep the entries above 1e-15."""
-        kept = np.abs(matrix) > NEGLIGIBLE
-        width = max(1, int(kept.sum(axis=1).max()))
-        order = np.argsort(~kept, axis=1, kind="stable")[:, :width]
-        weight = np.take_along_axis(np.where(kept, matrix, 0.0), order, axis=1)
-        return cls(np.ascontiguousarray(order, np.int32), np.ascontiguousarray(weight))
-
-    def weights(self, dtype: np.dtype) -> np.ndarray:
-        """Return the weights in a precision."""
-        return self.single if dtype == np.float32 else self.weight.astype(dtype, copy=False)
+        kept = [np.abs(matrix) > NEGLIGIBLE for matrix in matrices]
+        width = max([1, *(int(some.sum(axis=1).max()) for some in kept)])
+        index = np.zeros((len(matrices), len(matrices[0]) if matrices else 0, width), np.int32)
+        weight = np.zeros(index.shape)
+        for level, (matrix, some) in enumerate(zip(matrices, kept, strict=True)):
+            order = np.argsort(~some, axis=1, kind="stable")[:, :width]
+            part = level, slice(len(matrix)), slice(order.shape[1])
+            index[part], weight[part] = order, np.take_along_axis(np.where(some, matrix, 0.0), order, axis=1)
+        return cls(index, weight)
 
     @cached_property
     def single(self) -> np.ndarray:
         """The weights in single precision."""
         return self.weight.astype(np.float32)
+
+    def rows(self, dtype: np.dtype) -> tuple[np.ndarray, np.ndarray]:
+        """Return index and weights in a precision."""
+        return self.index, self.single if dtype == np.float32 else self.weight.astype(dtype, copy=False)
 
 
 @lru_cache(maxsize=64)
@@ -104,14 +113,14 @@ def cosine_matrix(length: int) -> np.ndarray:
 class AxisTransform:
     """The transform of planes along one axis.
 
-    per level, finest first, analysis, synthesis and adjoint synthesis by rows; smooth, detail: (length, length >> level
+    by levels, finest first, analysis, synthesis and adjoint synthesis by rows; smooth, detail: (length, length >> level
     + 1) float64, the basis vectors of the low and the high band.
     """
 
     length: int
-    analysis: tuple[SparseRows, ...]
-    synthesis: tuple[SparseRows, ...]
-    adjoint: tuple[SparseRows, ...]
+    analysis: SparseRows
+    synthesis: SparseRows
+    adjoint: SparseRows
     smooth: tuple[np.ndarray, ...]
     detail: tuple[np.ndarray, ...]
 
@@ -151,19 +160,19 @@ def plane_transform(wavelet: str, rows: int, columns: int, levels: int, *, mirro
 
 @lru_cache(maxsize=64)
 def _axis(wavelet: str, length: int, levels: int, *, orthonormal: bool, mirrored: bool) -> AxisTransform:
-    analysis, synthesis, adjoint, smooth, detail, so_far = [], [], [], [], [], np.eye(length)
+    forth, back, smooth, detail, so_far = [], [], [], [], np.eye(length)
     for level in range(levels):
         matrix = level_matrix(wavelet, length >> level, mirrored=mirrored)
         inverse = matrix.T if orthonormal else np.linalg.inv(matrix)
         inverse = np.where(np.abs(inverse) < 1e-14, 0.0, inverse)
-        analysis.append(SparseRows.of(matrix))
-        synthesis.append(SparseRows.of(inverse))
-        adjoint.append(SparseRows.of(inverse.T))
+        forth.append(matrix)
+        back.append(inverse)
         half = length >> level + 1
         detail.append(so_far @ inverse[:, half:])
         so_far = so_far @ inverse[:, :half]
         smooth.append(so_far)
-    return AxisTransform(length, *(tuple(part) for part in (analysis, synthesis, adjoint, smooth, detail)))
+    adjoint = SparseRows.of([inverse.T for inverse in back])
+    return AxisTransform(length, SparseRows.of(forth), SparseRows.of(back), adjoint, tuple(smooth), tuple(detail))
 
 
 def squared_lengths(plane: PlaneTransform, weight: np.ndarray) -> np.ndarray:
@@ -196,93 +205,119 @@ def _largest_gain(plane: PlaneTransform) -> float:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def apply_rows(index, weight, source, target, rows, columns, filled, needed):
-    """Set target[i, :columns] to the sum over k of weight[i, k] source[index[i, k], :columns]: one level, first axis.
+def apply_rows(index, weight, rows, source, target, part, filled, needed):
+    """Set target[i < rows, j] to the sum over k, in order, of weight[i, k] source[index[i, k], j]; j: a part of places.
 
-    filled (rows of source,), needed (rows,) bool: sources that are all zero are left out, targets that are not needed
-    become zero. Four terms are added at a time, in their order: one read and write of the target for each four.
+    The part (first, stop) is done in whole LANES, beyond its end where need be. filled (rows of source,), needed (rows
+    of target,) bool: sources that are all zero are left out, targets that are not needed become zero.
     """
-    width = (index.shape[1] + 3) // 4 * 4
-    places, factors = np.zeros(width, np.int64), np.zeros(width, source.dtype)
+    zero = weight.dtype.type(0)
+    places, factors = np.zeros(index.shape[1], np.int64), np.zeros(index.shape[1], weight.dtype)
     for i in range(rows):
-        out = target[i]
         count = 0
         if needed[i]:
             for k in range(index.shape[1]):
                 if weight[i, k] != 0 and filled[index[i, k]]:
                     places[count], factors[count] = index[i, k], weight[i, k]
                     count += 1
-        if count == 0:
-            for j in range(columns):
-                out[j] = 0
-            continue
-        while count % 4 != 0:
-            places[count], factors[count] = places[0], 0
-            count += 1
-        for k in range(0, count, 4):
-            a, b, c, d = source[places[k]], source[places[k + 1]], source[places[k + 2]], source[places[k + 3]]
-            fa, fb, fc, fd = factors[k], factors[k + 1], factors[k + 2], factors[k + 3]
-            if k == 0:
-                for j in range(columns):
-                    out[j] = fa * a[j] + fb * b[j] + fc * c[j] + fd * d[j]
-            else:
-                for j in range(columns):
-                    out[j] = out[j] + fa * a[j] + fb * b[j] + fc * c[j] + fd * d[j]
+        start = part[0]
+        while start + 3 * LANES < part[1]:  # four sums at a time, as each waits for its last addition
+            a = b = c = d = splat(zero)
+            for k in range(count):
+                place, factor = places[k], factors[k]
+                a += load(source, (place, start)) * factor
+                b += load(source, (place, start + LANES)) * factor
+                c += load(source, (place, start + 2 * LANES)) * factor
+                d += load(source, (place, start + 3 * LANES)) * factor
+            store(target, (i, start), a)
+            store(target, (i, start + LANES), b)
+            store(target, (i, start + 2 * LANES), c)
+            store(target, (i, start + 3 * LANES), d)
+            start += 4 * LANES
+        for single in range(start, part[1], LANES):
+            a = splat(zero)
+            for k in range(count):
+                a += load(source, (places[k], single)) * factors[k]
+            store(target, (i, single), a)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _transpose(source, target, rows, columns):
-    for i in range(rows):
-        for j in range(columns):
-            target[j, i] = source[i, j]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mark_filled(values, rows, columns, filled):
-    """Mark the rows that are not all zero; return whether there is any."""
+def _copy_filled(values, target, rows_filled, columns_filled):
+    """Copy rows that are not all zero; mark them, and columns that are not; return whether there is any."""
+    rows, columns = len(rows_filled), len(columns_filled)
     some = False
+    columns_filled[:] = False
     for i in range(rows):
-        filled[i] = False
+        row, copy = values[i], target[i]
+        filled = 0
         for j in range(columns):
-            if values[i, j] != 0:
-                filled[i] = some = True
-                break
+            copy[j] = row[j]
+            filled |= row[j] != 0
+        rows_filled[i] = filled != 0
+        if filled:
+            some = True
+            for j in range(columns):
+                columns_filled[j] |= row[j] != 0
     return some
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mark_needed(chosen, rows, columns, rows_needed, columns_needed):
+def _mark_needed(chosen, rows_needed, columns_needed):
     """Mark the rows and columns that hold the next level's corner or any chosen coefficient."""
-    rows_needed[: rows // 2], rows_needed[rows // 2 : rows] = True, False
-    columns_needed[: columns // 2], columns_needed[columns // 2 : columns] = True, False
+    rows, columns = len(rows_needed), len(columns_needed)
+    rows_needed[:], columns_needed[:] = False, False
     for i in range(rows):
+        row = chosen[i]
+        some = 0
         for j in range(columns):
-            if chosen[i, j]:
-                rows_needed[i] = columns_needed[j] = True
+            some |= row[j]
+        if some:
+            rows_needed[i] = True
+            for j in range(columns):
+                columns_needed[j] |= row[j] != 0
+    rows_needed[: rows // 2], columns_needed[: columns // 2] = True, True
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def plane_level(planes, chosen, down_index, down_weight, across_index, across_weight, scratch):
-    """Transform all planes (n, rows, columns) by one level, in place, on the corner that the level covers.
+def _transpose(source, target, rows, columns):
+    for i in range(0, rows, LANES):
+        for j in range(0, columns, LANES):
+            turn(source, (i, j), target, (j, i))
 
-    chosen (n, rows, columns) uint8: an analysis need only be right there; without entries (0, 0, 0) everywhere.
-    scratch (2, side, side), side the longer of rows and columns. Planes that are all zero stay so.
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def plane_levels(planes, chosen, backwards, down, across, scratch):
+    """Transform all planes (n, rows, columns) in place, each level the corner that it covers.
+
+    backwards: from the coarsest level on. chosen (n, rows, columns) uint8: an analysis need only be right there;
+    without entries (0, 0, 0) everywhere. down, across: index and weights of `SparseRows`. scratch: of `_levels`. Planes
+    that are all zero stay so.
     """
-    first, second = scratch[0], scratch[1]
-    rows, columns = down_index.shape[0], across_index.shape[0]
-    filled = np.empty(max(rows, columns), np.bool_)
-    rows_needed, columns_needed = np.ones(rows, np.bool_), np.ones(columns, np.bool_)
+    first, second, levels = scratch[0], scratch[1], len(down[0])
     for n in range(planes.shape[0]):
         plane = planes[n]
-        if not _mark_filled(plane, rows, columns, filled):
-            continue
-        if chosen.shape[0] > 0:
-            _mark_needed(chosen[n], rows, columns, rows_needed, columns_needed)
-        apply_rows(down_index, down_weight, plane, first, rows, columns, filled, rows_needed)
-        _transpose(first, second, rows, columns)
-        _mark_filled(second, columns, rows, filled)
-        apply_rows(across_index, across_weight, second, first, columns, rows, filled, columns_needed)
-        _transpose(first, plane, columns, rows)
+        for count in range(levels):
+            level = levels - 1 - count if backwards else count
+            rows, columns = planes.shape[1] >> level, planes.shape[2] >> level
+            rows_filled, columns_filled = np.empty(rows, np.bool_), np.empty(columns, np.bool_)
+            if not _copy_filled(plane, second, rows_filled, columns_filled):
+                continue
+            rows_needed, columns_needed = np.ones(rows, np.bool_), np.ones(columns, np.bool_)
+            if chosen.shape[0] > 0:
+                _mark_needed(chosen[n], rows_needed, columns_needed)
+            part = 0, columns
+            apply_rows(down[0][level], down[1][level], rows, second, first, part, rows_filled, rows_needed)
+            _transpose(first, second, rows, columns)
+            part = 0, rows
+            apply_rows(across[0][level], across[1][level], columns, second, first, part, columns_filled, columns_needed)
+            _transpose(first, second, columns, rows)
+            for i in range(rows):
+                row, copy = second[i], plane[i]
+                for j in range(columns):
+                    copy[j] = row[j]
+
+
+STRIP = 512  # columns of which as many rows as there are views fit into the first-level cache
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -294,8 +329,24 @@ def apply_axis(matrix, source, target, needed):
         index[:, m] = m
     filled = np.empty(length, np.bool_)
     for o in range(outer):
-        _mark_filled(source[o], length, inner, filled)
-        apply_rows(index, matrix, source[o], target[o], matrix.shape[0], inner, filled, needed[o])
+        for m in range(length):
+            row = source[o, m]
+            filled[m] = False
+            for j in range(inner):
+                if row[j] != 0:
+                    filled[m] = True
+                    break
+        whole = inner // LANES * LANES
+        for start in range(0, whole, STRIP):
+            part = start, min(start + STRIP, whole)
+            apply_rows(index, matrix, len(matrix), source[o], target[o], part, filled, needed[o])
+        for k in range(matrix.shape[0]):
+            for j in range(whole, inner):
+                total = matrix.dtype.type(0)
+                for m in range(length):
+                    if needed[o, k]:
+                        total += matrix[k, m] * source[o, m, j]
+                target[o, k, j] = total
 
 
 EVERYWHERE = np.empty((0, 0, 0), np.uint8)
@@ -303,13 +354,10 @@ EVERYWHERE = np.empty((0, 0, 0), np.uint8)
 
 def _levels(planes: np.ndarray, plane: PlaneTransform, kind: str, chosen: np.ndarray = EVERYWHERE) -> None:
     """Transform all levels in place; kind: analysis, adjoint go from the finest level, synthesis from the coarsest."""
-    side = max(plane.shape)
-    scratch = np.empty((2, side, side), planes.dtype)
-    down, across = getattr(plane.down, kind), getattr(plane.across, kind)
-    levels = range(plane.levels - 1, -1, -1) if kind == "synthesis" else range(plane.levels)
-    for level in levels:
-        rows, columns = (down[level].weights(planes.dtype), across[level].weights(planes.dtype))
-        plane_level(planes, chosen, down[level].index, rows, across[level].index, columns, scratch)
+    side = -(-max(plane.shape) // LANES) * LANES
+    scratch = np.zeros((2, side, side), planes.dtype)
+    down, across = (getattr(axis, kind).rows(planes.dtype) for axis in (plane.down, plane.across))
+    plane_levels(planes, chosen, kind == "synthesis", down, across, scratch)
 
 
 def along(matrix: np.ndarray, values: np.ndarray, axis: int, needed: np.ndarray | None = None) -> np.ndarray:
@@ -360,7 +408,7 @@ class Block:
         if chosen is None:
             turned = along(self.lights, along(self.views, values, 2), 1)
         else:
-            needed = chosen.any(axis=(3, 4))
+            needed = chosen.view(bool).reshape(*chosen.shape[:3], -1).any(axis=3)
             views = np.repeat(needed.any(axis=1, keepdims=True), values.shape[1], axis=1)
             turned = along(self.lights, along(self.views, values, 2, views), 1, needed.any(axis=2))
         out = np.array(turned, copy=True) if np.shares_memory(turned, values) else turned

@@ -50,6 +50,8 @@ COARSER = 5
 """Factor on the step of parameters beside pictures: finer ones took bytes that served captured views better."""
 SEARCH_VIEWS = 6  # on which the step of pictures is sought
 UNSURE_DB = 1.0  # of the quality found on them
+LATER_DB = 0.5  # that passes after the first add at most at equal bytes; .2 to .4 were measured
+SHORT = 0.05  # logarithm of the bytes that a pass may lack to be judged by its decibels
 RIM = 2  # pixels by which pictures of the surface are carried on
 DECIBELS = 20 / math.log(10)  # of a factor e in amplitude
 
@@ -103,7 +105,10 @@ def run(context: Context) -> dict:
         encoded = run_pass(left.step, spent=parameters_alone)
     else:
         goal = goal_of(settings, counts, others, texels.tiles)
-        start, slope, expected = first_step(run_pass, piloted, settings, goal)
+        miss = partial(miss_target, goal=goal, target=settings.target)
+        start, slope, expected = FIRST_STEP, SLOPE, None
+        if settings.passes > 1 and count_seen(piloted) * SEARCH_SHARE >= SEARCH_TILES:
+            start, slope, expected = search_step(run_pass, miss, piloted, SEARCH_TILES, (start, settings.passes))
         coarse, by_bytes = None, not alone and settings.target != "psnr"
         photographed = picture_source(context, texels, source.kept) if by_bytes else None
         if photographed is not None:
@@ -116,11 +121,17 @@ def run(context: Context) -> dict:
             )
         encoded, alike = coarse, expected  # decibels of texels of as many bytes
         if pictures is None or expected is None or point_of(pictures).psnr_db < expected + UNSURE_DB:
-            value = partial(measure, target=settings.target)
-            encoded = find_step(run_pass, value, goal, start=start, passes=settings.passes, slope=slope)
-            alike = point_of(encoded).psnr_db
-            if photographed is not None:
-                alike = rate_over_outlines(alike, missed)
+
+            def rate(point: RatePoint) -> float:
+                return rate_over_outlines(point.psnr_db, missed) if photographed is not None else point.psnr_db
+
+            def compete(point: RatePoint) -> bool:
+                near = pictures is None or rate(point) > point_of(pictures).psnr_db - LATER_DB
+                return near or miss(point) < -SHORT
+
+            found = {"start": start, "slope": slope, "passes": settings.passes}
+            encoded = find_step(run_pass, miss, compete=compete, **found)
+            alike = rate(point_of(encoded))
             if pictures is not None and point_of(pictures).psnr_db > alike:
                 encoded = coarse
             else:
@@ -208,16 +219,11 @@ def code_pictures(
         found = piloted.at_step(step)
         return one_pass(photographed, scene, found, effort, threads=threads(), tiles=tiles, earlier=earlier)
 
-    value = partial(measure, target="bytes")
-    tiles = piloted.sample(SEARCH_VIEWS)
-    share = len(tiles) / sum(refined is not None for refined in piloted.refined)
-    sampled = find_step(
-        lambda step, earlier: run_pass(step, earlier, tiles), value, math.log(room), start=start, share=share,
-        passes=settings.passes,
-    )  # fmt: skip
-    if expected is not None and point_of(sampled).psnr_db < expected - UNSURE_DB:
+    miss, passes = partial(miss_target, goal=math.log(room), target="bytes"), settings.passes
+    start, slope, decibels = search_step(run_pass, miss, piloted, SEARCH_VIEWS, (start, passes))
+    if expected is not None and decibels < expected - UNSURE_DB:
         return None
-    return find_step(run_pass, value, math.log(room), start=sampled.design.step, passes=settings.passes)
+    return find_step(run_pass, miss, start=start, passes=passes, slope=slope)
 
 
 def left_by_model(source: "ArtifactSource", scene: CodedScene, piloted: Pilot) -> Left:
@@ -290,32 +296,27 @@ def goal_of(settings: ResidualSettings, counts: dict[str, int], others: dict[str
     return math.log(max(1.0, amounts[settings.target]))
 
 
-def measure(point: RatePoint, target: str) -> float:
-    """Return the quantity of the target, a number that falls with the step."""
-    if target == "psnr":
-        return point.psnr_db / DECIBELS
-    return math.log(max(1, point.bytes))
+def miss_target(point: RatePoint, goal: float, target: str) -> float:
+    """Return the quantity of the target, a number that falls with the step, less its goal."""
+    return (point.psnr_db / DECIBELS if target == "psnr" else math.log(max(1, point.bytes))) - goal
 
 
-def first_step(run_pass, piloted: Pilot, settings: ResidualSettings, goal: float) -> tuple[float, float, float | None]:
-    """Choose the step for the first pass over all tiles, and the slope of the target there, from a few of the tiles.
+def count_seen(piloted: Pilot) -> int:
+    """Count the tiles that any pixel sees."""
+    return sum(refined is not None for refined in piloted.refined)
 
-    Third, the decibels that these reach; None where none are tried.
+
+def search_step(run_pass, miss, piloted: Pilot, count: int, effort: tuple[float, int]) -> tuple[float, float, float]:
+    """Find the step for the first pass over all tiles on `count` of them, the slope of the target, their decibels.
+
+    effort: the step to begin with, and the most passes.
     """
-    seen = sum(refined is not None for refined in piloted.refined)
-    if settings.passes == 1 or SEARCH_TILES > SEARCH_SHARE * seen:
-        return FIRST_STEP, SLOPE, None
-    tiles = piloted.sample(SEARCH_TILES)
+    (start, passes), tiles = effort, piloted.sample(count)
     sampled = find_step(
-        lambda step, earlier: run_pass(step, earlier, tiles),
-        partial(measure, target=settings.target),
-        goal,
-        start=FIRST_STEP,
-        passes=settings.passes,
-        share=len(tiles) / seen,
-    )
-    values = [measure(point, settings.target) - goal for point in sampled.curve]
-    slope = slope_of([point.step for point in sampled.curve], values)
+        lambda step, earlier: run_pass(step, earlier, tiles), miss, start=start, passes=passes,
+        share=len(tiles) / count_seen(piloted),
+    )  # fmt: skip
+    slope = slope_of([point.step for point in sampled.curve], [miss(point) for point in sampled.curve])
     return sampled.design.step, slope, point_of(sampled).psnr_db
 
 

@@ -148,9 +148,11 @@ def plane_arrays(name: str, plane: PlaneTransform) -> dict[str, np.ndarray]:
     arrays = {}
     for axis in (plane.down, plane.across):
         for level in range(plane.levels):
-            rows = axis.synthesis[level]
-            arrays[f"{name}/{axis.length >> level}/index"] = rows.index.astype(np.uint16)
-            arrays[f"{name}/{axis.length >> level}/weight"] = rows.weight.astype(np.float32)
+            length = axis.length >> level
+            index, weight = (rows[level, :length] for rows in (axis.synthesis.index, axis.synthesis.weight))
+            used = weight.any(axis=0)
+            arrays[f"{name}/{length}/index"] = index[:, used].astype(np.uint16)
+            arrays[f"{name}/{length}/weight"] = weight[:, used].astype(np.float32)
             for band, basis in (("low", axis.smooth[level]), ("high", axis.detail[level])):
                 norms = np.sqrt((basis**2).sum(axis=0)).astype(np.float32)
                 arrays[f"{name}/{axis.length}/{band}/{level}"] = norms
