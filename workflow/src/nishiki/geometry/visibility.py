@@ -129,6 +129,31 @@ def interpolate(attributes: np.ndarray, corners: np.ndarray, triangle: np.ndarra
     return out.reshape(*np.shape(triangle), values.shape[1])
 
 
+def turned_away(raster: Raster, mesh: Mesh, centre: np.ndarray) -> np.ndarray:
+    """Test (rows, columns) where a surface is shown whose interpolated normal does not face a camera's centre (3,)."""
+    out = np.zeros(raster.triangle.shape, np.bool_)
+    corners = np.ascontiguousarray(mesh.triangles, np.int32)
+    vertices, normals = (np.ascontiguousarray(values, np.float64) for values in (mesh.vertices, mesh.normals))
+    _mark_turned_away(raster.triangle, raster.barycentric, corners, vertices, normals, np.asarray(centre, float), out)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mark_turned_away(triangle, barycentric, corners, vertices, normals, centre, out):
+    for i in range(triangle.shape[0]):
+        for j in range(triangle.shape[1]):
+            if triangle[i, j] < 0:
+                continue
+            a, b, c = corners[triangle[i, j], 0], corners[triangle[i, j], 1], corners[triangle[i, j], 2]
+            u, v = barycentric[i, j, 0], barycentric[i, j, 1]
+            facing = 0.0
+            for k in range(3):
+                point = vertices[c, k] + u * (vertices[a, k] - vertices[c, k]) + v * (vertices[b, k] - vertices[c, k])
+                normal = normals[c, k] + u * (normals[a, k] - normals[c, k]) + v * (normals[b, k] - normals[c, k])
+                facing += (centre[k] - point) * normal
+            out[i, j] = facing <= 0
+
+
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 """Radians between points of a spiral that covers a disc evenly, where each has the same share of its area."""
 

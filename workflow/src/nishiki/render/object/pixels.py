@@ -20,9 +20,10 @@ def bilinear(s: np.ndarray, t: np.ndarray, size: int) -> tuple[np.ndarray, np.nd
     (i, y), (j, x) = (_cell(np.clip(along, 0, size - 1), size) for along in (s, t))
     below, right = np.minimum(i + 1, size - 1), np.minimum(j + 1, size - 1)
     corners = np.stack([i * size + j, i * size + right, below * size + j, below * size + right])
-    chosen, place = np.unique(corners, return_inverse=True)
+    used = np.zeros(size * size, bool)
+    used[corners] = True
     weights = np.stack([(1 - y) * (1 - x), (1 - y) * x, y * (1 - x), y * x])
-    return chosen, place.reshape(corners.shape), weights
+    return np.flatnonzero(used), (np.cumsum(used) - 1)[corners], weights
 
 
 def _cell(along: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,10 +56,19 @@ def extend(values: np.ndarray, covered: np.ndarray, *, rings: int, within: np.nd
     import cv2
 
     reached = covered.copy()
+    if within is not None:
+        if not within.any():
+            return reached
+        # the box of what may be filled, with the two pixels beyond it that values are taken from
+        rows, columns = (np.flatnonzero(within.any(axis=axis)) for axis in (1, 0))
+        box = slice(max(rows[0] - 2, 0), rows[-1] + 3), slice(max(columns[0] - 2, 0), columns[-1] + 3)
+        values, whole, reached, within = values[box], reached, reached[box], within[box]
     for _ in range(rings):
         border = cv2.dilate(reached.astype(np.uint8), np.ones((3, 3), np.uint8)) > reached
         border &= True if within is None else within
         i, j = np.nonzero(border)
+        if not len(i):
+            break
         known = np.pad(reached, 2)
         sums, weight = np.zeros((len(i), values.shape[2])), np.zeros((len(i), 1))
         for y, x in product((-1, 0, 1), repeat=2):
@@ -73,7 +83,7 @@ def extend(values: np.ndarray, covered: np.ndarray, *, rings: int, within: np.nd
             weight += share
         values[i, j] = sums / weight
         reached |= border
-    return reached
+    return reached if within is None else whole
 
 
 KEPT = 8  # depth maps held at a time: the views around the ones being made

@@ -14,6 +14,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -30,7 +31,7 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import camera_between, fit_turn, scale_camera
-from nishiki.geometry.visibility import Raster, interpolate, rasterise
+from nishiki.geometry.visibility import interpolate, rasterise, turned_away
 from nishiki.observations.views import Views, largest_value
 from nishiki.render.display import develop
 from nishiki.render.object.pixels import DepthMaps, bilinear, extend, mix
@@ -226,6 +227,9 @@ class ObjectRenderer:
                 self._lenders = {
                     key: self._lenders.get(key) or self._decode_picture(self.pictures, *key) for key in sorted(keys)
                 }
+                for flat in self._cache.values():
+                    for key in flat.lent.keys() - keys:
+                        del flat.lent[key]
         tiles = sorted({tile for prepared in batch for tile in prepared.slots})
         over_items(lambda tile: self._draw(tile, batch), tiles, self.threads)
         while batch:
@@ -237,39 +241,43 @@ class ObjectRenderer:
 
     def _draw(self, tile: int, batch: list[Prepared]) -> None:
         """Draw all pixels of all pictures of a batch that show this tile."""
-        flat = self._tile(tile)
+        flat, drawn = self._tile(tile), []
         for prepared in batch:
             slot = prepared.slots.get(tile)
-            if slot is None:
-                continue
-            order = prepared.order[prepared.first[slot] : prepared.first[slot + 1]]
-            chosen, place, weights = bilinear(prepared.s[order], prepared.t[order], self.atlas.size)
+            if slot is not None:
+                order = prepared.order[prepared.first[slot] : prepared.first[slot + 1]]
+                drawn.append((prepared, order, *bilinear(prepared.s[order], prepared.t[order], self.atlas.size)))
+        wanted = np.unique(np.concatenate([chosen for _, _, chosen, _, _ in drawn]))
+        for prepared, order, chosen, place, weights in drawn:
             for k in range(len(prepared.lamps)):
-                texels = self._texels(prepared, k, flat, chosen)
+                texels = self._texels(prepared, k, flat, (chosen, wanted))
                 prepared.values[k, order] = np.einsum("kn,knc->nc", weights, texels[place])
 
-    def _texels(self, prepared: Prepared, place: int, flat: DecodedTile, chosen: np.ndarray) -> np.ndarray:
+    def _texels(self, prepared: Prepared, place: int, flat: DecodedTile, texels: tuple) -> np.ndarray:
         """Compute (m, channels) float32: chosen texels of a tile for this camera under one lamp, encoded.
 
-        place: of the light among those of the shot.
+        place: of the light among those of the shot; texels: chosen (m,), and those of all pictures of the batch.
         """
+        chosen = texels[0]
         shot, lamp, light = prepared.shot, prepared.lamps[place], prepared.shot.lights[place][0]
         if isinstance(lamp, LampsInView):
             kd, ks, sigma = (values[chosen] for values in flat.parameters)
             diffuse, gloss = lamp.predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen])
             return encode(diffuse + gloss, self.encoding)
         coded, views = self._evaluate_model(flat, chosen, shot.camera, lamp), shot.views.views
+        seen = np.zeros(0)
         if not self.model_only and self._blends(shot):
-            seen = [self.depths.visible(flat.positions[chosen], flat.normals[chosen], self.cameras[v]) for v in views]
-            weights = shot.views.weights.astype(np.float32)
             if self.pictures is not None:
-                return self._lent(coded, (shot, lamp, light), flat, chosen, np.stack(seen), weights)
+                return self._add_pictures(coded, (lamp, light), flat, texels, shot.views)
+            seen = np.stack(
+                [self.depths.visible(flat.positions[chosen], flat.normals[chosen], self.cameras[v]) for v in views]
+            )
         residual = flat.residual
         if residual is None:
             return coded
         places = residual.observation[light * len(self.cameras) + views]
         lent = residual.values[places[:, None], residual.texel[chosen]]
-        return coded + (lent[0] if len(views) == 1 else mix(lent, np.stack(seen), weights))
+        return coded + (lent[0] if len(views) == 1 else mix(lent, seen, shot.views.weights.astype(np.float32)))
 
     def _evaluate_model(self, flat: DecodedTile, chosen: np.ndarray, camera: Camera, lamp) -> np.ndarray:
         """Evaluate the model (m, channels) float32 at chosen texels of a tile, encoded."""
@@ -277,31 +285,45 @@ class ObjectRenderer:
         diffuse, gloss = predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen], camera.centre, lamp)
         return encode(diffuse + gloss, self.encoding)
 
-    def _lent(self, coded: np.ndarray, of: tuple, flat: DecodedTile, chosen: np.ndarray, seen, weights) -> np.ndarray:
+    def _add_pictures(self, coded: np.ndarray, of: tuple, flat: DecodedTile, texels: tuple, shown: Neighbours):
         """Add to the model of texels (m, channels), in its cast shadows, what the pictures of views differ from it.
 
-        of: shot, its lamp and the light's number; seen (n, m), weights (n,): of the shot's views.  A view in which the
-        lamp sees a texel lends little to a picture where it does not, and the other way round.
+        of: the lamp and the light's number; texels: as of `_texels`.  A view in which the lamp sees a texel lends
+        little to a picture where it does not, and the other way round.
+        """
+        (lamp, light), (chosen, wanted), weights = of, texels, shown.weights.astype(np.float32)
+        lit = self._find_lit(lamp, flat.positions[chosen], flat.normals[chosen])
+        lent = np.stack([self._lend((int(view), light), flat, wanted)[chosen] for view in shown.views])
+        seen = lent[..., 1] * np.where(lent[..., 0] == lit, np.float32(1), OTHER_LIGHT)
+        total = (weights[:, None] * seen).sum(axis=0)
+        return coded * lit[:, None] + np.where(total > 1e-6, 1, 0)[:, None] * mix(lent[..., 2:], seen, weights)
+
+    def _lend(self, key: tuple[int, int], flat: DecodedTile, wanted: np.ndarray) -> np.ndarray:
+        """Return (T * T, 2 + channels) float32 in a view and light: lit, how well seen, picture minus model.
+
+        Texels are computed when they are wanted first, once for all pictures that the view lends to; NaN before.
         """
         import cv2
 
-        (shot, lamp, light), positions, normals = of, flat.positions[chosen], flat.normals[chosen]
-        lit, lent = self._find_lit(lamp, positions, normals), []
-        for view, sees in zip(shot.views.views, seen, strict=True):
-            camera, own = self.cameras[view], self.lighting.lamp(self.cameras[view], light)
-            picture, bare = self._lenders[int(view), light]
+        if key not in flat.lent:
+            flat.lent[key] = np.full((len(flat.positions), 2 + self.channels), np.nan, np.float32)
+        held = flat.lent[key]
+        new = wanted[np.isnan(held[wanted, 0])]
+        if len(new):
+            positions, normals = flat.positions[new], flat.normals[new]
+            camera = self.cameras[key[0]]
+            lamp, (picture, bare) = self.lighting.lamp(camera, key[1]), self._lenders[key]
             places = camera.project(positions)[0].astype(np.float32)[:, None]
-            there = self._find_lit(own, positions, normals)
-            lent.append(-self._evaluate_model(flat, chosen, camera, own) * there[:, None])
-            sees *= np.where(there == lit, np.float32(1), OTHER_LIGHT)
+            lit, seen = self._find_lit(lamp, positions, normals), self.depths.visible(positions, normals, camera)
+            lent = -self._evaluate_model(flat, new, camera, lamp) * lit[:, None]
             for first in range(0, len(places), MOST_PLACES):
                 some = slice(first, first + MOST_PLACES)
                 for band, values in enumerate(picture):
                     shown = cv2.remap(values, places[some], None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-                    lent[-1][some, band] += shown[:, 0]
-                sees[some][cv2.remap(bare, places[some], None, cv2.INTER_NEAREST)[:, 0] > 0] = 0
-        total = (weights[:, None] * seen).sum(axis=0)
-        return coded * lit[:, None] + np.where(total > 1e-6, 1, 0)[:, None] * mix(np.array(lent), seen, weights)
+                    lent[some, band] += shown[:, 0]
+                seen[some][cv2.remap(bare, places[some], None, cv2.INTER_NEAREST)[:, 0] > 0] = 0
+            held[new] = np.column_stack([lit, seen, lent])
+        return held
 
     def _find_lit(self, lamp: ViewLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Compute (m,) float32: 1 at points lit by a lamp, 0 in its cast shadow; fitted lighting has no shadows."""
@@ -353,7 +375,8 @@ class ObjectRenderer:
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0
         if shot.captured is None and self.pictures is not None:
-            away = covered & ~self._faces(raster, shot.camera)
+            # elsewhere the surface that shows is wrong
+            away = turned_away(raster, self.mesh, shot.camera.centre)
             extend(linear, covered & ~away, rings=FOLD_PX, within=away)
             np.clip(linear, 0, highest * sum(abs(weight) for _, weight in shot.lights), out=linear)
         reached = extend(linear, covered, rings=self.rim)
@@ -369,15 +392,6 @@ class ObjectRenderer:
         highest *= sum(abs(weight) for _, weight in shot.lights)
         np.clip(linear, 0, highest, out=linear, where=(reached & ~covered)[..., None])
         return ObjectPicture(linear, covered, reached, raster.triangle, raster.barycentric, raster.depth)
-
-    def _faces(self, raster: Raster, camera: Camera) -> np.ndarray:
-        """Test (rows, columns) where the normal is turned to the camera: elsewhere the surface that shows is wrong."""
-        shown = (
-            interpolate(values, self.mesh.triangles, raster.triangle, raster.barycentric)
-            for values in (self.mesh.vertices, self.mesh.normals)
-        )
-        points, normals = shown
-        return np.einsum("ijk,ijk->ij", camera.centre - points, normals) > 0
 
     def normals(self, picture: ObjectPicture, camera: Camera) -> np.ndarray:
         """Return unit normals (rows, columns, 3) float32 as the camera sees them (x right, y up, z to it), else 0."""
@@ -406,7 +420,10 @@ def block_mean(values: np.ndarray, size: int) -> np.ndarray:
     """Average square blocks, (rows * size, columns * size, n) -> (rows, columns, n); incomplete blocks are cut."""
     rows, columns = values.shape[0] // size, values.shape[1] // size
     blocks = values[: rows * size, : columns * size].reshape(rows, size, columns, size, -1)
-    return blocks.mean(axis=(1, 3), dtype=np.float32)
+    total = np.zeros((rows, columns, blocks.shape[-1]), np.float32)
+    for i, j in product(range(size), repeat=2):
+        total += blocks[:, i, :, j]
+    return total / np.float32(size * size)
 
 
 def reduce_blocks(linear: np.ndarray, covered: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:

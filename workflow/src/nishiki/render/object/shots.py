@@ -108,12 +108,16 @@ class Prepared:
 
 @dataclass(frozen=True)
 class DecodedTile:
-    """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places (T * T, 3), residual or None."""
+    """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places (T * T, 3), residual or None.
+
+    lent: by view and light, what pictures of the batch lend (T * T, 2 + channels), NaN where it is not known yet.
+    """
 
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
     positions: np.ndarray
     normals: np.ndarray
     residual: CodedTexels | None
+    lent: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
     @property
     def nbytes(self) -> int:
