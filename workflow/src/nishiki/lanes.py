@@ -190,7 +190,7 @@ def choose(typing, condition, yes, no):
 
 @intrinsic
 def turn(typing, source, place, target, other):
-    """Transpose the LANES x LANES numbers of a matrix from (row, column) `place` on into another from `other` on."""
+    """Write LANES x LANES numbers of a matrix from (row, column) `place` on, transposed, into another from `other`."""
     if not _readable(source, place) or (source, place) != (target, other) or source.dtype not in SINGLE.values():
         return None
     vector = VECTORS[{single: kind for kind, single in SINGLE.items()}[source.dtype]]

@@ -164,7 +164,7 @@ def solve(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shrink(ahead, held, gradient, pace, level, momentum):
-    """Step from `ahead` along the gradient, zero what is within the level; hold the result and go ahead of it."""
+    """Take a step from `ahead` along the gradient, zero what is within the level, hold it, and go ahead of it."""
     ahead, held, gradient = ahead.reshape(-1), held.reshape(-1), gradient.reshape(-1)
     for n in range(len(held)):
         new = ahead[n] + pace * gradient[n]
