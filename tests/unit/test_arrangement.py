@@ -11,7 +11,7 @@ from nishiki.capture.lights import lights_from_vectors, rearrange
 from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.consistency import order_text
-from nishiki.photometric.arrangement import arrange, turn_axes
+from nishiki.photometric.arrangement import EXCHANGED, arrange, name_heights, turn_axes, turn_by_half
 from nishiki.simulate import command as simulate
 
 RINGS = ((7, 35), (5, 60))
@@ -94,6 +94,45 @@ def test_axes_are_found_but_for_a_half_turn(axes):
     assert found.curl[1] < 0.8 * found.curl[0]
 
 
+def angles(first, second):
+    """Mean angle in degrees between lamps (lamps, 3), of unit length or not, but for a half turn."""
+    units = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in (first, second)]
+    cosines = [(units[0] * half * units[1]).sum(axis=1) for half in ([1, 1, 1], [-1, -1, 1])]
+    return min(np.degrees(np.arccos(np.clip(each, -1, 1))).mean() for each in cosines)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("axes", ["x,y,turn:30", "x,-y,turn:40"])
+def test_a_turn_by_any_angle_is_found_but_for_a_half_turn(axes):
+    directions = dome(RINGS)
+    listed = turn_axes(directions, axes)
+    found = arrange(photographs(directions), listed)
+    assert found.order == tuple(range(12))
+    assert "turn" in found.axes
+    assert angles(turn_axes(listed, found.axes), directions) < 4
+    assert np.allclose(turn_axes(listed, turn_by_half(found.axes)), turn_axes(listed, found.axes) * [-1, -1, 1])
+
+
+@pytest.mark.slow
+def test_exchanged_sines_and_cosines_of_the_elevation_are_found():
+    directions = dome(RINGS)
+    listed = turn_axes(directions, EXCHANGED)
+    found = arrange(photographs(directions), listed)
+    assert (found.axes, found.order, found.height) == (EXCHANGED, tuple(range(12)), 1)
+    np.testing.assert_allclose(turn_axes(listed, EXCHANGED), directions)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.1, 10.0])
+def test_heights_of_the_lamps_in_another_unit_are_found_from_the_albedo(factor):
+    directions = dome(RINGS)
+    found = arrange(photographs(directions, albedo=(0.5, 0.5)), directions * [1, 1, factor])
+    assert not found.rearranged
+    assert found.height * factor == pytest.approx(1, rel=0.35)
+    mended = turn_axes(directions * [1, 1, factor], name_heights(found.axes, found.height))
+    assert angles(mended, directions) < 8
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_no_order_is_named_that_the_test_refuses_again(seed):
@@ -135,7 +174,21 @@ def test_an_order_is_written_as_it_is_read(text):
     assert mended.names == lights.names
 
 
-@pytest.mark.parametrize(("order", "axes"), [("1,2", None), ("forwards", None), (None, "x,x"), (None, "y")])
+@pytest.mark.parametrize("text", ["x,y,2.5z", "y,-x,h", "-x,y,turn:-30", "x,y,0.1z,turn:30"])
+def test_axes_are_turned_alike_in_a_list_and_in_the_fit(text):
+    lights = lights_from_vectors([None] * 12, dome(RINGS), file="lights.lp")
+    mended, places = rearrange(lights, None, text)
+    expected = turn_axes(lights.vectors, text)
+    np.testing.assert_allclose(mended.vectors, expected / np.linalg.norm(expected, axis=1, keepdims=True))
+    positions, _ = rearrange(lights_from_vectors([None] * 12, 150 * dome(RINGS), file="lights.lp"), None, text)
+    np.testing.assert_allclose(positions.vectors, 150 * expected)
+    assert places.tolist() == list(range(12))
+
+
+NO_AXES = ("x,x", "y", "x,y,z", "x,y,turn:30,h", "x,y,turn:")
+
+
+@pytest.mark.parametrize(("order", "axes"), [("1,2", None), ("forwards", None), *((None, axes) for axes in NO_AXES)])
 def test_orders_and_axes_that_are_none_are_refused(order, axes):
     lights = lights_from_vectors([str(i) for i in range(12)], dome(RINGS), file="lights.lp")
     with pytest.raises(CaptureError) as caught:
@@ -164,6 +217,7 @@ def examine(folder):
     [
         (lambda lamps: np.roll(lamps, 1, axis=0), "lights-order"),
         (lambda lamps: turn_axes(lamps, "x,-y"), "lights-axes"),
+        (lambda lamps: turn_axes(lamps, EXCHANGED), "lights-axes"),
     ],
 )
 def test_convert_refuses_with_an_option_that_mends(tmp_path, fault, kind):

@@ -13,6 +13,7 @@ import pytest
 import nishiki
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
+from nishiki.capture.lights import from_angles
 from nishiki.formats.problems import CaptureError
 
 ROWS, COLUMNS, WIDTH_MM = 30, 40, 120.0
@@ -99,6 +100,18 @@ def test_the_unit_of_positions_is_asked_for_and_found_from_the_width(tmp_path, u
         assert capture.settings.pixel_pitch_mm == WIDTH_MM / COLUMNS
 
 
+def test_far_lamps_in_inches_are_not_taken_for_lamps_nearer_than_the_object_is_wide(tmp_path):
+    source = with_file(tmp_path, listed(1000 * DIRECTIONS / 25.4))
+    options = {"width_mm": WIDTH_MM, "lights_kind": "position_mm"}
+    problem = refusal(source, tmp_path, **options)
+    assert (problem.kind, problem.file) == ("lights-ambiguous", "dome.lp")
+    capture, _ = captured(source, tmp_path / "c", **options | {"lights_kind": "direction"})
+    np.testing.assert_allclose(capture.directions, DIRECTIONS, atol=1e-5)
+    (source / "dome.lp").write_text(listed(1000 * DIRECTIONS))
+    capture, _ = captured(source, tmp_path / "d", **options)
+    np.testing.assert_allclose(capture.lights.vectors, 1000 * DIRECTIONS, atol=1e-4)
+
+
 @pytest.mark.parametrize("lengths", [150, 1.7, np.linspace(1, 3, 12)[:, None]], ids=["150", "1.7", "uneven"])
 def test_directions_of_any_length_stay_directions(tmp_path, lengths):
     capture, told = captured(with_file(tmp_path, listed(DIRECTIONS * lengths)), tmp_path / "c")
@@ -122,21 +135,22 @@ def test_what_photographs_do_not_tell_is_refused_and_both_remedies_work(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("rows", "kind"),
+    ("rows", "kind", "azimuth"),
     [
-        ([np.degrees(AZIMUTH), np.degrees(ELEVATION), np.ones(12)], "azimuth_elevation"),
-        ([np.degrees(ELEVATION), np.degrees(AZIMUTH) - 180], "elevation_azimuth"),
-        ([AZIMUTH, np.pi / 2 - ELEVATION, np.full(12, 150.0)], "azimuth_polar"),
+        ([np.degrees(AZIMUTH), np.degrees(ELEVATION), np.ones(12)], "azimuth_elevation", AZIMUTH),
+        ([np.degrees(ELEVATION), np.degrees(AZIMUTH) - 180], "elevation_azimuth", AZIMUTH - np.pi),
+        ([AZIMUTH, np.pi / 2 - ELEVATION, np.full(12, 150.0)], "azimuth_polar", AZIMUTH),
+        ([np.degrees(AZIMUTH) / 4, np.degrees(ELEVATION), np.ones(12)], "azimuth_elevation", AZIMUTH / 4),
+        ([np.degrees(ELEVATION), np.degrees(AZIMUTH) / 4], "elevation_azimuth", AZIMUTH / 4),
     ],
 )
-def test_angles_are_refused_by_name_and_read_when_their_kind_is_given(tmp_path, rows, kind):
+def test_angles_are_refused_by_name_and_read_when_their_kind_is_given(tmp_path, rows, kind, azimuth):
     source = with_file(tmp_path, listed(np.transpose(rows)))
     problem = refusal(source, tmp_path)
     assert problem.kind == "lights-angles"
     assert f"--lights-kind {kind}" in problem.remedy
     capture, _ = captured(source, tmp_path / "c", lights_kind=kind)
-    turned = DIRECTIONS * ([-1, -1, 1] if kind == "elevation_azimuth" else [1, 1, 1])
-    np.testing.assert_allclose(capture.directions, turned, atol=1e-5)
+    np.testing.assert_allclose(capture.directions, from_angles(azimuth, np.pi / 2 - ELEVATION), atol=1e-5)
 
 
 def test_the_wrong_kind_of_angle_is_contradicted_by_the_photographs(tmp_path):

@@ -22,9 +22,11 @@ from nishiki.errors import require
 from nishiki.formats.files import bound, read_bytes
 from nishiki.formats.problems import Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import cells_of, expect_rows, label_problems, reading
+from nishiki.photometric.arrangement import turn_axes
 
 IMAGE_SUFFIX = re.compile(r"\.(png|tiff?|jpe?g|exr|bmp|dng|cr[23w]|nef|arw|raf|orf|rw2|pef|srw|tga)$", re.IGNORECASE)
 SAME_DEG = 0.1  # directions nearer than this are one
+UNIT_LENGTH = 0.01  # by which lengths of unit vectors may be off: lists are rounded
 COPLANAR_RATIO = 1e-3  # smallest / largest singular value of the direction matrix
 
 
@@ -135,7 +137,7 @@ def lights_from_vectors(
             problems.append(error("name-unusable", file, f"light {i + 1} has no name", found=repr(names[i])))
         problems += label_problems(name, "light", file)
     raise_errors(problems)
-    uneven = np.abs(lengths - 1) > 0.01
+    uneven = np.abs(lengths - 1) > UNIT_LENGTH
     if kind == "direction" and uneven.any():
         worst = lengths[np.argmax(np.abs(lengths - 1))]
         what = f"{uneven.sum()} of {len(vectors)} directions are not of unit length and were normalised"
@@ -156,7 +158,8 @@ def rearrange(lights: Lights, order: str | None, axes: str | None) -> tuple[Ligh
         `shift:N`: photograph i has the lamp listed N places after it, the last ones followed by the first; `reverse`:
         the first photograph has the last lamp; or the numbers of the lamps, from 1, by photograph: `2,1,3`.
     axes : str or None
-        x and y of the lamps in terms of those listed: `x,-y` where the list counts y downwards.
+        x and y of the lamps in terms of those listed, as `x,-y` where the list counts y downwards; heights and a turn,
+        see `nishiki.photometric.arrangement.turn_axes`.
 
     Returns
     -------
@@ -171,11 +174,15 @@ def rearrange(lights: Lights, order: str | None, axes: str | None) -> tuple[Ligh
     places = np.arange(len(lights.names)) if order is None else _order_of(order, len(lights.names))
     vectors = lights.vectors[places]
     if axes is not None:
-        if not re.fullmatch(r"-?x,-?y|-?y,-?x", axes):
+        try:
+            turned = turn_axes(vectors, axes)
+        except ValueError:
             remedy = "Write it with an equals sign where it begins with a dash: --lights-axes=-x,y"
-            refuse("option-unusable", "lights-axes", f"expected two axes such as x,-y, found {axes}", remedy=remedy)
-        columns = [(-1 if axis.startswith("-") else 1) * vectors[:, "xy".index(axis[-1])] for axis in axes.split(",")]
-        vectors = np.column_stack([*columns, vectors[:, 2]])
+            expected = f"expected axes such as x,-y or x,y,2.54z or x,y,turn:30, found {axes}"
+            refuse("option-unusable", "lights-axes", expected, remedy=remedy)
+        lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+        unit = np.abs(lengths - 1).max() < UNIT_LENGTH
+        vectors = turned / np.linalg.norm(turned, axis=1, keepdims=True) if unit else turned
     directions = vectors / np.linalg.norm(vectors, axis=1, keepdims=True)
     return replace(lights, vectors=vectors, directions=directions), places
 

@@ -50,8 +50,10 @@ class ConvertOptions:
         "which listed lamp each photograph shows: shift:N (the lamp N places on), reverse, or numbers: 2,1,3",
     )
     lights_axes: str | None = declare(
-        "--lights-axes X,Y",
-        "axes of the lamps in terms of those listed: x,-y where y was counted downwards; --lights-axes=-x,y",
+        "--lights-axes X,Y[,Z][,turn:DEG]",
+        "axes of the lamps in terms of those listed: x,-y where y was counted downwards, --lights-axes=-x,y; then "
+        "2.54z for heights in another unit, or h where sine and cosine of the elevation were exchanged; then turn:30, "
+        "by degrees from x towards y",
     )
     width_mm: float | None = declare("--width-mm MM", "width of the whole photographs on the object", type=float)
     mask: Path | None = declare(

@@ -31,6 +31,7 @@ MILLIMETRES = (40.0, 5000.0)  # distance of lamps whose unit is taken to be the 
 UNITS = {"millimetres": 1.0, "centimetres": 10.0, "inches": 25.4, "metres": 1000.0}
 SAME_UNIT = 0.2  # by which a width may be off for its unit to be known
 OFF_UNIT = 0.1  # of lengths from 1: nearer, vectors state directions alone, and their unit is the lamps' distance
+IN_PLANE = 0.05  # height of lamps beside their distance from the axis, three degrees: no relief is photographed so
 LEAST_STRENGTH = 0.01  # by which strengths differ that can be told from noise
 
 
@@ -80,6 +81,7 @@ class Verdict:
     width_mm: float = 0.0  # of the photographs on the object, where lamps are near; 0 where they do not show it
     factor: float = 0.0  # millimetres a unit of the positions; 0 where it is not known
     unit: str = ""  # name of that unit
+    nearest: bool = False  # whether positions in millimetres are nearer than the photographs are wide, and not so near
 
 
 def judge(samples: PhotoSamples, vectors: np.ndarray, columns: int, width_mm: float | None) -> Verdict:
@@ -93,7 +95,8 @@ def judge(samples: PhotoSamples, vectors: np.ndarray, columns: int, width_mm: fl
     if found is None:
         return Verdict(False, False)
     if not found.is_certain:
-        return Verdict(False, found.width + SURE * found.sigma < TRIED_WIDTH * distance)
+        widest = max(found.width, 0.0) + SURE * found.sigma
+        return Verdict(False, widest < TRIED_WIDTH * distance, nearest=max(distance, 2 * widest) < (width_mm or 0.0))
     if width_mm:
         exact = width_mm / found.width
         units = {**UNITS, "pixels": width_mm / columns}
@@ -244,7 +247,7 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
     verdict = judge(taken, vectors, columns, width) if taken else Verdict(False, False)
     if verdict.near and verdict.factor:
         return _as_positions(stated, file, verdict, told=bool(width_mm))
-    if stated.kind == "position_mm" and width_mm and not _are_unit(vectors):
+    if stated.kind == "position_mm" and width_mm and not _are_unit(vectors) and not verdict.nearest:
         return replace(stated, width_mm=width_mm)
     if stated.open_kind and not verdict.near and (verdict.far or stated.scaled):
         far = vectors if stated.rival is None else stated.rival
@@ -254,7 +257,9 @@ def decide(stated: StatedLights, file: str, samples: Sampler, columns: int, widt
     found = f"lengths {lengths.min():.4g} to {lengths.max():.4g}"
     if stated.kind == "position_mm" and width_mm:
         what = "the photographs do not show how far away the lamps are"
-        remedy = "List the positions of the lamps in millimetres"
+        if verdict.nearest:
+            what = "the lamps are listed nearer than the photographs are wide, and do not light them so unevenly"
+        remedy = "List the positions of the lamps in millimetres: multiply inches by 25.4, centimetres by 10"
     elif verdict.near or stated.kind == "position_mm":
         what = "the unit of the lamps' positions is not known"
         remedy = "Give the width of the whole photographs on the object in millimetres: --width-mm WIDTH"
@@ -341,10 +346,15 @@ def _full_turn(numbers: np.ndarray) -> float:
 
 
 def _azimuth_at(numbers: np.ndarray, column: int) -> bool:
-    """Check that a column covers more than a third of the full turn, and the other stays between plane and normal."""
-    other, full = numbers[:, 1 - column], _full_turn(numbers)
-    within = np.abs(numbers[:, column]).max() <= 1.01 * full and other.min() >= 0 and other.max() <= full / 4 * 1.001
-    return bool(within and np.ptp(numbers[:, column]) > full / 3)
+    """Check that a column can be azimuths, and the other stays between plane and normal.
+
+    Azimuths cover more than a third of the full turn, or else more than the other angle where the numbers are no
+    vectors: two a line, or a radius so small beside them that all lamps would lie in the object's plane.
+    """
+    own, other, full = numbers[:, column], numbers[:, 1 - column], _full_turn(numbers)
+    within = np.abs(own).max() <= 1.01 * full and other.min() >= 0 and other.max() <= full / 4 * 1.001
+    none = (np.abs(numbers[:, 2:]) < IN_PLANE * np.linalg.norm(numbers[:, :2], axis=1, keepdims=True)).all()
+    return bool(within and np.ptp(own) > (np.ptp(other) if none else full / 3))
 
 
 def _refuse_angles(file: Path, numbers: np.ndarray) -> Problem:

@@ -20,7 +20,7 @@ from nishiki.formats.problems import Problem, error, error_text, name_some, warn
 from nishiki.observations.frames import FrameReader
 from nishiki.observations.reference import DarkField, board_cosine, points_mm
 from nishiki.observations.registration import MARGIN, Movement, Window, align_window, choose_places, measure_movement
-from nishiki.photometric.arrangement import Arrangement, arrange
+from nishiki.photometric.arrangement import EXCHANGED, Arrangement, arrange, name_heights, turn_by_half
 from nishiki.photometric.board_pairs import ALONE, BoardPairs, pair_boards
 from nishiki.photometric.consistency import (
     LEAST_AMBIENT,
@@ -397,43 +397,56 @@ def near_problems(near: NearLamps | None, capture: Capture) -> list[Problem]:
 
 
 def _arrangement_problems(judgement: Judgement, arrangement: Arrangement, capture: Capture) -> list[Problem]:
-    """Make lights-order and lights-axes, as errors with the option of `convert` that corrects them."""
-    file = capture.settings.lights.file
-    if arrangement.as_stated:
-        decided = capture.settings.lights.axes_confirmed or (capture.payload / MIRROR_BALLS).exists()
-        if decided or not arrangement.mirror_undecided:
-            return []
+    """Make lights-order and lights-axes, as errors with the option of `convert` that corrects them.
+
+    Warn of axes that are not decided, and of heights, which may be right where the colour changes with the slope.
+    """
+    file, axes = capture.settings.lights.file, arrangement.axes
+    decided = capture.settings.lights.axes_confirmed or (capture.payload / MIRROR_BALLS).exists()
+    confirmed = "where the file is right, with --lights-axes=x,y, or set lights.axes_confirmed: true in capture.yaml"
+    if arrangement.unexplained:
+        what = "the photographs contradict the list of lamps, and no order of the lamps was found that explains them"
+        found = f"misfit of the photographs {100 * arrangement.residual[0]:.1f} %"
+        remedy = f"Compare {file} with the photographs (check --open shows them), or measure the lamps on mirror balls"
+        return [error("lights-order", file, what, found=found, remedy=remedy)]
+    percent = [100 * value for value in (*arrangement.residual, *arrangement.curl)]
+    problems = []
+    if arrangement.as_stated and arrangement.mirror_undecided and not decided:
         what = "the photographs do not show which way the y axis of the lights points"
-        said = f"curl of the slopes {100 * arrangement.curl[0]:.0f} %, and as little with y mirrored"
+        said = f"curl of the slopes {percent[2]:.0f} %, and as little with y mirrored"
         remedy = (
             "If y counts downwards in that file, or hills appear as hollows, convert again with --lights-axes=x,-y; "
-            "where the file is right, with --lights-axes=x,y, or set lights.axes_confirmed: true in capture.yaml"
+            f"{confirmed}"
         )
-        return [warning("lights-axes-undecided", file, what, found=said, remedy=remedy)]
-    percent = [100 * value for value in (*arrangement.residual, *arrangement.curl)]
+        problems.append(warning("lights-axes-undecided", file, what, found=said, remedy=remedy))
+    if arrangement.height != 1 and not decided:
+        what = "heights of the lamps do not suit their other coordinates, or the object's colour changes with its slope"
+        said = f"the albedo is far more even with heights multiplied by {arrangement.height:.3g} ± 20 %"
+        remedy = (
+            "If z was listed in another unit, or elevations are wrong, convert again with the same options and "
+            f"--lights-axes={name_heights(axes, arrangement.height)}; {confirmed}"
+        )
+        problems.append(warning("lights-heights-undecided", file, what, found=said, remedy=remedy))
+    if not arrangement.rearranged:
+        return problems
     evidence = (
         f"misfit of the photographs {percent[0]:.1f} % as listed, {percent[1]:.1f} % with the remedy; curl of the "
         f"slopes {percent[2]:.0f} % as listed, {percent[3]:.0f} % with the remedy"
     )
-    if arrangement.unexplained:
-        what = "the photographs contradict the list of lamps, and no order of the lamps was found that explains them"
-        remedy = f"Compare {file} with the photographs (check --open shows them), or measure the lamps on mirror balls"
-        return [error("lights-order", file, what, found=f"misfit of the photographs {percent[0]:.1f} %", remedy=remedy)]
-    options, kinds = [], []
+    kinds, options, opposite = [], [], ""
     if arrangement.order != tuple(range(len(judgement.lights))):
         order = list(range(len(capture.lights.names)))
         for photograph, lamp in enumerate(arrangement.order):
             order[judgement.lights[photograph]] = judgement.lights[lamp]
         options.append(f"--lights-order={order_text(order)}")
         kinds.append(("lights-order", "the photographs show other lamps than those listed for them"))
-    if arrangement.axes != "x,y":
-        options.append(f"--lights-axes={arrangement.axes}")
+    if axes != "x,y":
+        options.append(f"--lights-axes={axes}")
         kinds.append(("lights-axes", "the axes of the lights differ from those of the photographs"))
-    remedy = f"Convert the photographs again with {' '.join(options)}, or correct {file}"
-    if arrangement.axes != "x,y":
-        opposite = ",".join(axis[1:] if axis.startswith("-") else f"-{axis}" for axis in arrangement.axes.split(","))
-        remedy += f". If hills then appear as hollows, give --lights-axes={opposite} instead"
-    return [error(kind, file, what, found=evidence, remedy=remedy) for kind, what in kinds]
+        if axes != EXCHANGED:
+            opposite = f". If hills then appear as hollows, give --lights-axes={turn_by_half(axes)} instead"
+    remedy = f"Convert the photographs again with {' '.join(options)}, or correct {file}{opposite}"
+    return problems + [error(kind, file, what, found=evidence, remedy=remedy) for kind, what in kinds]
 
 
 def order_text(order: list[int]) -> str:

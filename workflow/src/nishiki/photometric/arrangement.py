@@ -7,19 +7,23 @@ each other by rotations and assignments (Kuhn, 1955) in turn, from many starts. 
 by themselves, because two of many leave all other measures nearly as they are.
 """
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.photometric.consistency import SURE
+from nishiki.photometric.consistency import FEWEST_JUDGED, SURE, WORST_LAW
 from nishiki.photometric.flags import NOISE
-from nishiki.photometric.lambert_fit import return_none_if_undetermined
+from nishiki.photometric.lambert_fit import median_of_lights, return_none_if_undetermined
 from nishiki.photometric.order_trials import (
-    AXES,
+    FACTORS,
     TILE,
+    TURNED,
     OrderTrial,
     Tiles,
     cut_tiles,
+    loosen,
+    measure_evenness,
     measure_shading,
     measure_slopes,
     tabulate_misfits,
@@ -36,8 +40,15 @@ DOUBTFUL = 2.0  # standard errors by which an arrangement that is believed may a
 # each of two exchanged photographs has to be the better one alone
 HALVED = 0.5  # of the residual that is left of the photographs that an order moves: gloss gains less by chance
 UNRIVALLED = 2.0  # times the standard errors of any exchange of two other photographs: gloss on a sound coin gains 7
+LEAST_HEIGHT = 0.5  # logarithm of a factor of the lamps' heights, which turns normals by 9 degrees, see `loosen`:
+# -.2 to .2 on sound sets of 12 to 96 lamps
+GREATEST_HEIGHT = 7.1  # of metres among millimetres: under gloss there is no greatest one
+UNLIKELY = 4.0  # standard errors by which the albedo is more even: the best factor of flat things gains 3
+UNEVEN = 0.2  # of the logarithm of that factor, by which gloss, dirt and light between the parts of things shift it
+EXCHANGED = "x,y,h"  # axes of lamps whose sines and cosines of the elevation were exchanged
+CLEARLY = 0.3  # log of the misfit over that with sines and cosines exchanged: .5 to 2.8 on 7 sets listed so
+UNITS = (2.54, 10.0, 25.4, 39.37, 100.0, 1000.0)  # ratios of units of length that people mix
 COMMON = (1, -1, 2, -2)  # cyclic shifts that are always fitted, and the reversal: a photograph or two more or fewer
-LETTERS = "xy"
 
 
 @dataclass(frozen=True)
@@ -45,7 +56,7 @@ class Arrangement:
     """Order of the lamps and direction of their axes, from the photographs."""
 
     order: tuple[int, ...]  # order[i]: the stated lamp that photograph i shows
-    axes: str  # axes of the lamps in terms of those stated, as `x,-y`
+    axes: str  # axes of the lamps in terms of those stated, see `turn_axes`
     # residual, curl: as stated, and then: median misfit relative to the albedo, and root mean square curl relative to
     # that of slopes in any direction
     residual: tuple[float, float]
@@ -56,6 +67,8 @@ class Arrangement:
     # whether the stated arrangement is wrong and none was found that explains the photographs, or two that do and of
     # which the simpler one is far worse; order and axes are then those stated
     unexplained: bool = False
+    # factor of the heights of the lamps, with that order and those axes, under which the albedo is even
+    height: float = 1.0
 
     @property
     def rearranged(self) -> bool:
@@ -65,7 +78,7 @@ class Arrangement:
     @property
     def as_stated(self) -> bool:
         """Return whether nothing is to be changed."""
-        return not self.rearranged and not self.unexplained
+        return not self.rearranged and not self.unexplained and self.height == 1
 
 
 @return_none_if_undetermined
@@ -86,10 +99,66 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
         As stated unless another one is better beyond doubt. Another one is named only where the same test, with the
         lamps arranged so, finds nothing to change. None where nothing can be told.
     """
+    found = _arrange_plane(values, lamps)
+    if found is None:
+        return None
+    mended = lamps if found.unexplained else _turn_lamps(lamps[list(found.order)], found.axes)
+    exchanged = _turn_lamps(lamps, EXCHANGED)
+    fits = [_fit_lamps(values, each) for each in (exchanged, lamps, mended)[: 2 + found.rearranged]]
+    left, *misfits = (np.full(1, np.nan) if fit is None else fit[1] for fit in fits)
+    gains = [np.log(misfit / left) for misfit in misfits]
+    clear = _in_errors(gains[0]) > SURE and np.nanmean(gains[0]) > CLEARLY and _in_errors(gains[-1]) > -DOUBTFUL
+    if clear and np.nanmedian(left) < WORST_LAW:
+        other = _arrange_plane(values, exchanged)
+        if other is not None and other.as_stated and _find_height(values, exchanged) == 1:
+            return replace(other, axes=EXCHANGED, residual=(found.residual[0], other.residual[0]))
+    return found if found.unexplained else replace(found, height=_find_height(values, mended))
+
+
+def _fit_lamps(values: np.ndarray, lamps: np.ndarray) -> tuple[OrderTrial, np.ndarray] | None:
+    """Fit the photographs in their order; None where nothing is shaded.
+
+    Also returns the misfit of each tile (tiles,) relative to its brightness, which the lamps' heights leave as it is.
+    """
+    tiles = cut_tiles(values, lamps)
+    trial = None if tiles is None else try_order(tiles, np.arange(len(values)))
+    if tiles is None or trial is None or measure_shading(tiles.values) < FLAT:
+        return None
+    sample, patches = tiles.sample
+    sizes = median_of_lights(np.where(np.isfinite(sample), np.abs(trial.fit.alone), np.nan))
+    misfit = sizes / np.nanmean(sample, axis=0)
+    return trial, np.array([np.nanmean(misfit[patches == tile]) for tile in range(tiles.values.shape[1])])
+
+
+def _find_height(values: np.ndarray, lamps: np.ndarray) -> float:
+    """Find the factor of the lamps' heights under which the albedo is far more even than as listed, else 1."""
+    factor, limit = 1.0, LEAST_HEIGHT * loosen(len(values))
+    for _ in range(TURNS if len(values) >= FEWEST_JUDGED else 0):
+        fitted = _fit_lamps(values, _turn_lamps(lamps, f"x,y,{factor:.6f}z"))
+        if fitted is None or np.nanmedian(fitted[1]) > WORST_LAW:
+            return 1.0
+        evenness = measure_evenness(fitted[0].normals)
+        best = int(np.argmin(np.nanmean(evenness, axis=0)))
+        before, factor = factor, float(factor * FACTORS[best])
+        if not limit < abs(np.log(factor)) < GREATEST_HEIGHT:
+            return 1.0
+        if abs(np.log(factor / before)) < UNEVEN:
+            break
+    else:
+        return 1.0
+    listed = np.argmin(np.abs(np.log(FACTORS * before)))
+    if _in_errors(evenness[:, listed] - evenness[:, best]) < UNLIKELY:
+        return 1.0
+    unit = min((ratio**sign for ratio in UNITS for sign in (1, -1)), key=lambda ratio: abs(np.log(factor / ratio)))
+    return unit if abs(np.log(factor / unit)) < UNEVEN / 2 else factor
+
+
+def _arrange_plane(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
+    """Find the order and the axes as `arrange` does, without the heights of the lamps."""
     found = _arrange(values, lamps)
     if found is None or found.as_stated:
         return found
-    again = None if found.unexplained else _arrange(values, turn_axes(lamps[list(found.order)], found.axes))
+    again = None if found.unexplained else _arrange(values, _turn_lamps(lamps[list(found.order)], found.axes))
     if again is not None and again.as_stated:
         moved, plain = _pattern(np.arange(len(values)), np.array(found.order))
         if plain or moved <= _few(len(values)):
@@ -135,7 +204,8 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
                 order = linear_sum_assignment(np.nan_to_num(cost, nan=1.0))[1]
                 following, turn = _add(trials, tiles, order), np.eye(3)
     # the simplest arrangement that is better than that stated, and than which no other is better
-    rivals = [(trial, axes) for trial in trials.values() for axes in range(len(AXES))]
+    poses = range(TURNED), range(TURNED + 2)  # nobody errs by an order and an angle at once
+    rivals = [(trial, axes) for trial in trials.values() for axes in poses[trial is first]]
     rivals = [rival for rival in rivals if _beyond_doubt((first, 0), rival)]
     rivals.sort(key=lambda rival: _complexity(rival[0].order, rival[1]))
     rivals = [one for one in rivals if not any(_beyond_doubt(one, other) for other in rivals)]
@@ -148,14 +218,14 @@ def _arrange(values: np.ndarray, lamps: np.ndarray, seed: int = 0, starts: int =
         return None  # a flat thing, whose slopes are those that its gloss makes
     sigmas = _compare((first, 0), (best, axes))[:2]
     contested = [_compare((best, axes), (trial, axes)) for trial in trials.values() if trial is not best]
-    mirrored, exchanged, quarter = (_compare((best, axes), (best, axes ^ other))[1] for other in (1, 2, 3))
+    mirrored, exchanged, quarter = (_compare((best, 0), (best, other))[1] for other in (1, 2, 3))
     return Arrangement(
         tuple(best.order.tolist()),
-        _name_axes(axes, best.outwards),
+        _name_axes(best, axes),
         (misfits[0], misfits[1]),
         (_curl(first, 0), _curl(best, axes)),
         sigmas,
-        mirrored > -DOUBTFUL and min(exchanged, quarter) < -SURE,
+        axes == 0 and mirrored > -DOUBTFUL and min(exchanged, quarter) < -SURE,
         # another order, by which people do not err, explains the photographs far better
         (best is not first or axes > 0)
         and any(residual > SURE and left < HALVED and curl > DOUBTFUL for residual, curl, left in contested),
@@ -180,17 +250,50 @@ def _complexity(order: np.ndarray, axes: int) -> tuple[int, ...]:
         step = int(order[0] - plain[0])
         if (order == np.roll(plain, -step if kind == 0 else step)).all():
             step = min(step % count, -step % count)
-            return (int(moved > 0) + int(axes > 0), 2 * step + kind, axes)
+            return (int(moved > 0) + int(axes > 0), 2 * (step + (axes >= TURNED) * count) + kind, axes)
     return (1 + int(axes > 0), 2 * count + moved, axes)
 
 
-def turn_axes(directions: np.ndarray, axes: str) -> np.ndarray:
-    """Turn vectors (..., 3) to the axes of `Arrangement.axes`: `x,-y` has y mirrored."""
-    result = directions.copy()
-    for place, name in enumerate(axes.split(",")):
-        sign = -1 if name.startswith("-") else 1
-        result[..., place] = sign * directions[..., LETTERS.index(name.lstrip("-"))]
-    return result
+def turn_axes(vectors: np.ndarray, axes: str) -> np.ndarray:
+    """Turn vectors (..., 3) to axes in terms of their own; ValueError for a text that names none.
+
+    axes : x and y, as `x,-y` where y is mirrored; then, where wanted, `2.5z`, heights multiplied by a factor, or `h`,
+    heights exchanged with distances from the z axis; then `turn:30`, by 30 degrees from x towards y.
+    """
+    found = re.fullmatch(r"(-?x,-?y|-?y,-?x)(?:,(h|[0-9]+(?:[.][0-9]+)?z))?(?:,turn:(-?[0-9]+(?:[.][0-9]+)?))?", axes)
+    if found is None:
+        raise ValueError(axes)
+    plane = [(-1 if name[0] == "-" else 1) * vectors[..., "xy".index(name[-1])] for name in found[1].split(",")]
+    across, height = np.stack(plane, axis=-1), vectors[..., 2:]
+    if found[2] == "h":
+        distance = np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
+        across, height = across * height / distance, distance
+    elif found[2]:
+        height = float(found[2][:-1]) * height
+    if found[3]:
+        cosine, sine = np.cos(np.radians(float(found[3]))), np.sin(np.radians(float(found[3])))
+        across = across @ np.array([[cosine, sine], [-sine, cosine]])
+    return np.concatenate([across, height], axis=-1)
+
+
+def name_heights(axes: str, factor: float) -> str:
+    """Name axes, see `turn_axes`, with the heights multiplied by a factor."""
+    plane, *turn = axes.split(",turn:")
+    return ",turn:".join([f"{plane},{factor:.3g}z", *turn])
+
+
+def turn_by_half(axes: str) -> str:
+    """Name axes, see `turn_axes`, after a half turn."""
+    plane, *turn = axes.split(",turn:")
+    if turn:
+        return f"{plane},turn:{(float(turn[0]) + 360) % 360 - 180:.0f}"
+    return ",".join(axis[1:] if axis.startswith("-") else f"-{axis}" for axis in plane.split(","))
+
+
+def _turn_lamps(lamps: np.ndarray, axes: str) -> np.ndarray:
+    """Turn lamps, whose lengths are their light, to other axes; see `turn_axes`."""
+    turned = turn_axes(lamps, axes)
+    return turned * (np.linalg.norm(lamps, axis=-1) / np.linalg.norm(turned, axis=-1))[..., None]
 
 
 def _find_exchange(tiles: Tiles, trial: OrderTrial) -> np.ndarray | None:
@@ -217,7 +320,7 @@ def _find_exchange(tiles: Tiles, trial: OrderTrial) -> np.ndarray | None:
 
 
 def _curl(trial: OrderTrial, axes: int) -> float:
-    return float(np.sqrt(np.nanmean(trial.energies[:, axes]) / np.nanmean(trial.energies)) / 2)
+    return float(np.sqrt(np.nanmean(trial.energies[:, axes]) / np.nanmean(trial.energies[:, :TURNED])) / 2)
 
 
 def _compare(first: tuple[OrderTrial, int], other: tuple[OrderTrial, int]) -> tuple[float, float, float]:
@@ -242,7 +345,7 @@ def _compare(first: tuple[OrderTrial, int], other: tuple[OrderTrial, int]) -> tu
 
 def _shares(one: tuple[OrderTrial, int]) -> np.ndarray:
     """Compute the curl of every tile as a share of the energy of all four derivatives: 0: a surface, 1/4: noise."""
-    return one[0].energies[:, one[1]] / one[0].energies.sum(axis=1)
+    return one[0].energies[:, one[1]] / one[0].energies[:, :TURNED].sum(axis=1)
 
 
 def _in_errors(differences: np.ndarray) -> np.ndarray:
@@ -293,13 +396,15 @@ def _pattern(first: np.ndarray, other: np.ndarray) -> tuple[int, bool]:
     return int((first != other).sum()), any((place == order).all() for order in plain)
 
 
-def _name_axes(axes: int, outwards: np.ndarray) -> str:
+def _name_axes(trial: OrderTrial, axes: int) -> str:
     """Name the axes; of two a half turn apart, which are otherwise alike, those by which the middle stands out."""
     if axes == 0:
         return "x,y"
-    sign = 1 if outwards[axes] >= 0 else -1
-    matrix = sign * np.array(AXES[axes]).reshape(2, 2)
-    return ",".join(("-" if row.sum() < 0 else "") + LETTERS[int(np.flatnonzero(row)[0])] for row in matrix)
+    outside = trial.outwards[axes] >= 0
+    if axes < TURNED:
+        return (("x,-y", "y,x", "y,-x") if outside else ("-x,y", "-y,-x", "-y,x"))[axes - 1]
+    cosine, sine = trial.turns[axes - TURNED][:2, 0] * (1 if outside else -1)
+    return f"x,{'-' if axes > TURNED else ''}y,turn:{np.degrees(np.arctan2(sine, cosine)):.0f}"
 
 
 def _candidates(tiles: Tiles, seed: int, starts: int) -> list[np.ndarray]:
@@ -318,7 +423,7 @@ def _candidates(tiles: Tiles, seed: int, starts: int) -> list[np.ndarray]:
     for order in plain:  # slopes by least squares
         normals = (np.linalg.pinv(directions[order]) @ values).T.reshape(-1, TILE, TILE, 3)
         energies = measure_slopes(normals, tiles.middles)[0]
-        curls.append(np.nanmedian(energies[:, 0] / energies.sum(axis=1)))
+        curls.append(np.nanmedian(energies[:, 0] / energies[:, :TURNED].sum(axis=1)))
     by_curl = [plain[k] for k in np.argsort(curls, kind="stable")]
     return [*common, *_by_rank(level, directions, plain, seed, starts)[:FINALISTS], *by_curl[:FINALISTS]]
 

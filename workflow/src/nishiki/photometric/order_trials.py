@@ -9,8 +9,13 @@ Two measures, of which neither needs the other's assumption:
 
       a = p_y - q_x,   d = p_x + q_y,   a' = p_y + q_x,   d' = p_x - q_y
 
-  a is the curl as stated, a' with one axis mirrored, d' with both exchanged, d after a quarter turn. A half turn leaves
-  its size as it is: it makes hills hollows.
+  a is the curl as stated, a' with one axis mirrored, d' with both exchanged, d after a quarter turn, and
+  a cos f - d sin f after a turn by f. A half turn leaves its size as it is: it makes hills hollows.
+
+Lamps whose heights are listed too great or too small by a common factor change neither: the relief becomes steeper or
+flatter, its albedo changes with its slope, and the gains with the lamps' heights (Belhumeur, Kriegman and Yuille,
+1999). Paint and slope have little to do with each other, so that the albedo is most even under the right factor
+(Alldrin, Mallick and Kriegman, 2007): the mean change of its logarithm from pixel to pixel is the third measure.
 """
 
 from dataclasses import dataclass
@@ -18,6 +23,7 @@ from functools import cached_property
 
 import numpy as np
 
+from nishiki.photometric.flags import NOISE
 from nishiki.photometric.lambert_fit import (
     FEWEST_LAMPS,
     GRAZING,
@@ -36,6 +42,9 @@ MOST_VALUES = 300_000  # of all tiles and photographs; with many lamps fewer til
 PER_TILE = 5  # pixels of a tile in the fit of gains
 STEEPEST = 0.2  # cosine of the steepest slope that counts: beyond, small errors of the normal are any slope
 AXES = ((1, 0, 0, 1), (1, 0, 0, -1), (0, 1, 1, 0), (0, 1, -1, 0))  # as stated, mirrored, exchanged, turned
+TURNED = len(AXES)  # pose of the least curl after a turn by any angle; the next one has y mirrored before
+LEAST_TURN_DEG = 10.0  # of such a turn from those of AXES: 12 to 96 sound lamps show turns of up to 4, see `loosen`
+FACTORS = np.exp(np.linspace(-4, 4, 81))  # of the lamps' heights: from a fiftieth to fifty times, in steps of 10 %
 
 
 @dataclass(frozen=True)
@@ -64,8 +73,9 @@ class OrderTrial:
     order: np.ndarray
     fit: Fit
     misfit: np.ndarray  # (lights, tiles) relative to the albedo
-    energies: np.ndarray  # (tiles, 4) of the derivatives that AXES names
-    outwards: np.ndarray  # (4,) how far the normals then point outwards
+    normals: np.ndarray  # (tiles, side, side, 3) albedo times normal
+    energies: np.ndarray  # (tiles, 6) of the derivatives that AXES names and of those turned; NaN: no turn
+    outwards: np.ndarray  # (6,) how far the normals then point outwards
     # (2, 3, 3): turns about the line of sight, with and without mirroring y, after which the curl is least
     turns: np.ndarray
 
@@ -118,8 +128,11 @@ def try_order(tiles: Tiles, order: np.ndarray) -> OrderTrial | None:
     sizes = np.where(np.isfinite(sample), np.abs(fit.alone), np.nan) / np.linalg.norm(fit.normals, axis=1)
     misfit = np.stack([median_of_lights(sizes[:, patches == tile].T) for tile in range(number)], axis=1)
     flat = tiles.values.reshape(count, -1)
-    normals = _robust_normals(flat, lamps, fit)
-    return OrderTrial(order, fit, misfit, *measure_slopes(normals.reshape(number, TILE, TILE, 3), tiles.middles))
+    normals = _robust_normals(flat, lamps, fit).reshape(number, TILE, TILE, 3)
+    grazing = normals[..., 2:] < GRAZING * np.linalg.norm(normals, axis=-1, keepdims=True)
+    least = LEAST_TURN_DEG * loosen(count)
+    slopes = measure_slopes(np.where(grazing, np.nan, normals), tiles.middles, least)
+    return OrderTrial(order, fit, misfit, normals, *slopes)
 
 
 def tabulate_misfits(tiles: Tiles, trial: OrderTrial, turn: np.ndarray) -> np.ndarray:
@@ -161,12 +174,36 @@ def _robust_normals(values: np.ndarray, lamps: np.ndarray, fit: Fit) -> np.ndarr
         lit, _ = lit_and_dark(known, filled, cosine, albedo)
         scale = scale_of(filled - cosine, lit, albedo)
         weights = lit / (1 + ((filled - cosine) / (KINK * scale)) ** 2)
-    normals[(known.sum(axis=0) < FEWEST_LAMPS) | (normals[:, 2] < GRAZING * albedo)] = np.nan
+    normals[known.sum(axis=0) < FEWEST_LAMPS] = np.nan
     return normals
 
 
-def measure_slopes(normals: np.ndarray, middles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return energies (tiles, 4) of the derivatives in AXES, outward tilt (4,), and turns of least curl (2, 3, 3)."""
+def measure_evenness(normals: np.ndarray) -> np.ndarray:
+    """Measure the logarithmic change (tiles, factors) of the albedo, were the lamps higher by each of FACTORS.
+
+    normals (tiles, side, side, 3): albedo times normal.
+    """
+    flat, high = (normals[..., :2] ** 2).sum(axis=-1), normals[..., 2] ** 2
+    changes = []
+    for factor in FACTORS:
+        albedo = 0.5 * np.log(flat + high / factor**2)
+        steps = [np.nanmean(np.abs(np.diff(albedo, axis=axis)), axis=(1, 2)) for axis in (1, 2)]
+        changes.append(np.log(np.maximum(sum(steps), NOISE)))
+    return np.stack(changes, axis=1)
+
+
+def loosen(count: int) -> float:
+    """Compute the factor of a limit of what sound photographs show, which grows where few lamps determine the gains.
+
+    Sound selections of 6 and 8 lamps of the grey sphere show turns of 21 and 11 degrees, and half and twice the height.
+    """
+    return count / (count - FEWEST_LAMPS) if count > FEWEST_LAMPS else np.inf
+
+
+def measure_slopes(
+    normals: np.ndarray, middles: np.ndarray, least_deg: float = LEAST_TURN_DEG
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return energies (tiles, 6) of the derivatives, outward tilt (6,), and turns of least curl, see `OrderTrial`."""
     size = np.linalg.norm(normals, axis=-1)
     steep = np.maximum(normals[..., 2], STEEPEST * size)
     p, q = -normals[..., 0] / steep, -normals[..., 1] / steep
@@ -179,15 +216,19 @@ def measure_slopes(normals: np.ndarray, middles: np.ndarray) -> tuple[np.ndarray
 
     parts = (upwards(p) - across(q), upwards(p) + across(q), across(p) - upwards(q), across(p) + upwards(q))
     parts = tuple(np.clip(part, -1, 1) for part in parts)  # an edge of the object counts as a step of unit slope
-    energies = np.stack([np.nanmean(part**2, axis=(1, 2)) for part in parts], axis=1)
-    mean = np.stack([-np.nanmean(p, axis=(1, 2)), -np.nanmean(q, axis=(1, 2))], axis=1)
-    tilts = [mean @ np.array(axes).reshape(2, 2).T for axes in AXES]
-    outwards = np.stack([np.nansum((tilt - np.nanmean(tilt, axis=0)) * middles) for tilt in tilts])
-    turns = []
-    for still, turned_part, mirror in ((0, 3, 1.0), (1, 2, -1.0)):
+    energies = [np.nanmean(part**2, axis=(1, 2)) for part in parts]
+    whole, turns = sum(energies), []
+    for still, turned, mirror in ((0, 3, 1.0), (1, 2, -1.0)):
         # curl after a turn by f: cos f a - sin f d, of least square where (cos 2f, sin 2f) ~ (dd - aa, 2 ad)
-        first, second = parts[still], parts[turned_part]
-        angle = 0.5 * np.arctan2(2 * np.nanmean(first * second), np.nanmean(second**2) - np.nanmean(first**2))
+        both = np.nanmean(parts[still] * parts[turned], axis=(1, 2))
+        most = np.nanmean((energies[turned] - energies[still]) / whole)
+        angle = 0.5 * np.arctan2(2 * np.nanmean(both / whole), most)
         cosine, sine = np.cos(angle), np.sin(angle)
+        left = cosine**2 * energies[still] - 2 * cosine * sine * both + sine**2 * energies[turned]
+        new = abs(np.sin(2 * angle)) > np.sin(np.radians(2 * min(least_deg, 45.0)))
+        energies.append(left if new else np.full_like(left, np.nan))
         turns.append(np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1.0]]) @ np.diag([1.0, mirror, 1.0]))
-    return energies, outwards, np.stack(turns)
+    mean = np.stack([-np.nanmean(p, axis=(1, 2)), -np.nanmean(q, axis=(1, 2))], axis=1)
+    tilts = [mean @ pose.T for pose in (*np.array(AXES).reshape(-1, 2, 2), *(turn[:2, :2] for turn in turns))]
+    outwards = np.stack([np.nansum((tilt - np.nanmean(tilt, axis=0)) * middles) for tilt in tilts])
+    return np.stack(energies, axis=1), outwards, np.stack(turns)
