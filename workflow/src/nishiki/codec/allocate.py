@@ -239,15 +239,15 @@ def one_pass(
         coded = encode_tile(seen, piloted.refined[tile], scene, design, effort, piloted.typical, start)
         empty = np.zeros(0, np.int32)
         light = replace(coded, parameters=empty, residual=empty)
-        return light, coded.nonzero, (Sparse.of(coded.parameters), Sparse.of(coded.residual))
+        return light, (Sparse.of(coded.parameters), Sparse.of(coded.residual))
 
     results = list(over(work, range(len(tiles)), threads, progress, f"tiles at step {design.step:.4g}"))
     coded: list[CodedTile] = [r[0] for r in results if r is not None]
     extents = [NOTHING if r is None else r[0].extent for r in results]
-    integers = [None if r is None else r[2] for r in results]
+    integers = [None if r is None else r[1] for r in results]
     models, streams = code_streams(integers, extents, design, threads=threads)
     sums = {name: sum(getattr(t, name) for t in coded) for name in ("pixels", "error", "model_error")}
-    kept = sum(r[1] for r in results if r is not None)
+    kept = sum(len(pair[1].places) for pair in integers if pair is not None)
     return EncodedObject(design, models, extents, integers, streams, kept=kept, curve=[], **sums)
 
 

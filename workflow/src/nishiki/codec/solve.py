@@ -113,11 +113,10 @@ def bilinear_adjoint(values, corner, down, right, columns, out):
 
 @dataclass(frozen=True)
 class Solution:
-    """A solution: coefficients (channels, lights, views, T, T) float32; error: squared residual sum; iterations."""
+    """A solution: coefficients (channels, lights, views, T, T) float32; error: squared residual sum."""
 
     coefficients: np.ndarray
     error: float
-    iterations: int
 
 
 @dataclass(frozen=True)
@@ -148,7 +147,7 @@ def solve(
     held = np.zeros(shape, dtype)
     if not iterations or operator.norm == 0:
         left = data - operator.look(samples_of(block, held))
-        return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), 0)
+        return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
     ahead, momentum = held.copy(), 1.0
     pace = dtype.type(1 / (operator.norm * block.bound()))
     for step in range(iterations):
@@ -159,7 +158,7 @@ def solve(
         shrink(ahead, held, gradient, pace, dtype.type(level), dtype.type((momentum - 1) / following))
         momentum = following
     left = data - operator.look(samples_of(block, held))
-    return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), iterations)
+    return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -248,7 +247,7 @@ def pursue(
     shape = (len(data), *curvature.shape)
     held = np.zeros(shape, np.float32) if start is None else start.reshape(shape).astype(np.float32)
     if not effort.rounds or curvature.max(initial=0) <= 0:
-        return Solution(np.zeros(shape, np.float32), float(np.sum(data.astype(np.float64) ** 2)), 0)
+        return Solution(np.zeros(shape, np.float32), float(np.sum(data.astype(np.float64) ** 2)))
     left = data if start is None else data - operator.look(samples_of(block, held))
     chosen, cost = (held != 0).astype(np.uint8), np.ones(shape, np.float32)
     if start is None:
@@ -265,7 +264,7 @@ def pursue(
             add_scaled(gradient, np.float32(-effort.ridge), held)
         choose(held, gradient, curvature, cost, chosen, np.float32(level))
         left = settle(held, chosen, data, operator, block, effort)
-    return Solution(held, float(np.sum(left.astype(np.float64) ** 2)), effort.rounds)
+    return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
 
 
 def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit) -> np.ndarray:

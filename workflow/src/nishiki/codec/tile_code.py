@@ -81,11 +81,6 @@ class CodedTile:
     error: float
     model_error: float
 
-    @property
-    def nonzero(self) -> int:
-        """Residual coefficients that are not zero."""
-        return int(np.count_nonzero(self.residual))
-
 
 @dataclass(frozen=True)
 class Refined:

@@ -242,40 +242,27 @@ def apply_rows(index, weight, rows, source, target, part, filled, needed):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _copy_filled(values, target, rows_filled, columns_filled):
-    """Copy rows that are not all zero; mark them, and columns that are not; return whether there is any."""
-    rows, columns = len(rows_filled), len(columns_filled)
-    some = False
-    columns_filled[:] = False
-    for i in range(rows):
-        row, copy = values[i], target[i]
-        filled = 0
-        for j in range(columns):
-            copy[j] = row[j]
-            filled |= row[j] != 0
-        rows_filled[i] = filled != 0
-        if filled:
-            some = True
-            for j in range(columns):
-                columns_filled[j] |= row[j] != 0
-    return some
+def _mark(values, rows, columns):
+    """Mark the rows and columns (bool) of a corner that are not all zero; return whether there is any."""
+    columns[:] = False
+    for i in range(len(rows)):
+        row = values[i]
+        some = 0
+        for j in range(len(columns)):
+            some |= row[j] != 0
+        rows[i] = some != 0
+        if some:
+            for j in range(len(columns)):
+                columns[j] |= row[j] != 0
+    return rows.any()
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mark_needed(chosen, rows_needed, columns_needed):
-    """Mark the rows and columns that hold the next level's corner or any chosen coefficient."""
-    rows, columns = len(rows_needed), len(columns_needed)
-    rows_needed[:], columns_needed[:] = False, False
+def _copy(source, target, rows, columns):
     for i in range(rows):
-        row = chosen[i]
-        some = 0
+        values, copy = source[i], target[i]
         for j in range(columns):
-            some |= row[j]
-        if some:
-            rows_needed[i] = True
-            for j in range(columns):
-                columns_needed[j] |= row[j] != 0
-    rows_needed[: rows // 2], columns_needed[: columns // 2] = True, True
+            copy[j] = values[j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -300,21 +287,20 @@ def plane_levels(planes, chosen, backwards, down, across, scratch):
             level = levels - 1 - count if backwards else count
             rows, columns = planes.shape[1] >> level, planes.shape[2] >> level
             rows_filled, columns_filled = np.empty(rows, np.bool_), np.empty(columns, np.bool_)
-            if not _copy_filled(plane, second, rows_filled, columns_filled):
+            if not _mark(plane, rows_filled, columns_filled):
                 continue
             rows_needed, columns_needed = np.ones(rows, np.bool_), np.ones(columns, np.bool_)
             if chosen.shape[0] > 0:
-                _mark_needed(chosen[n], rows_needed, columns_needed)
+                _mark(chosen[n], rows_needed, columns_needed)
+                rows_needed[: rows // 2], columns_needed[: columns // 2] = True, True  # the next level's corner
+            _copy(plane, second, rows, columns)
             part = 0, columns
             apply_rows(down[0][level], down[1][level], rows, second, first, part, rows_filled, rows_needed)
             _transpose(first, second, rows, columns)
             part = 0, rows
             apply_rows(across[0][level], across[1][level], columns, second, first, part, columns_filled, columns_needed)
             _transpose(first, second, columns, rows)
-            for i in range(rows):
-                row, copy = second[i], plane[i]
-                for j in range(columns):
-                    copy[j] = row[j]
+            _copy(second, plane, rows, columns)
 
 
 STRIP = 512  # columns of which as many rows as there are views fit into the first-level cache
@@ -322,7 +308,10 @@ STRIP = 512  # columns of which as many rows as there are views fit into the fir
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def apply_axis(matrix, source, target, needed):
-    """Set target[o, k, :] to the sum over m of matrix[k, m] source[o, m, :]; zero where needed (outer, k) is False."""
+    """Set target[o, k, :] to the sum over m of matrix[k, m] source[o, m, :]; zero where needed (outer, k) is False.
+
+    As many numbers a row as a multiple of LANES.
+    """
     outer, length, inner = source.shape
     index = np.empty(matrix.shape, np.int32)
     for m in range(length):
@@ -336,17 +325,9 @@ def apply_axis(matrix, source, target, needed):
                 if row[j] != 0:
                     filled[m] = True
                     break
-        whole = inner // LANES * LANES
-        for start in range(0, whole, STRIP):
-            part = start, min(start + STRIP, whole)
+        for start in range(0, inner, STRIP):
+            part = start, min(start + STRIP, inner)
             apply_rows(index, matrix, len(matrix), source[o], target[o], part, filled, needed[o])
-        for k in range(matrix.shape[0]):
-            for j in range(whole, inner):
-                total = matrix.dtype.type(0)
-                for m in range(length):
-                    if needed[o, k]:
-                        total += matrix[k, m] * source[o, m, j]
-                target[o, k, j] = total
 
 
 EVERYWHERE = np.empty((0, 0, 0), np.uint8)
@@ -369,10 +350,12 @@ def along(matrix: np.ndarray, values: np.ndarray, axis: int, needed: np.ndarray 
         return values
     shape = values.shape
     source = np.ascontiguousarray(values).reshape(int(np.prod(shape[:axis])), shape[axis], -1)
+    inner = source.shape[2]
+    source = np.pad(source, ((0, 0), (0, 0), (0, -inner % LANES))) if inner % LANES else source
     target = np.empty((source.shape[0], matrix.shape[0], source.shape[2]), values.dtype)
     wanted = np.ones(target.shape[:2], bool) if needed is None else needed.reshape(target.shape[:2])
     apply_axis(np.ascontiguousarray(matrix, values.dtype), source, target, wanted)
-    return target.reshape(*shape[:axis], matrix.shape[0], *shape[axis + 1 :])
+    return target[..., :inner].reshape(*shape[:axis], matrix.shape[0], *shape[axis + 1 :])
 
 
 @dataclass(frozen=True)
