@@ -10,6 +10,7 @@ the texture goes, once instead of once a view.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -102,56 +103,37 @@ def refine(
     encoding: str,
     *,
     iterations: int,
-    move: tuple[bool, bool, bool] = (True, True, False),
+    gloss: bool = True,
     usable: np.ndarray | None = None,
 ) -> TileMaps:
-    """Find the K_d, K_s and sigma whose picture is nearest to pixel values (C, n) in the capture's encoding.
+    """Find the K_d and K_s whose picture is nearest to pixel values (C, n) in the capture's encoding.
 
     Accelerated gradient with each texel's own step; K_d, K_s stay at 0 or above. Texels that no pixel sees stay as
-    given. move: which of the three; a width that follows every pixel's noise costs more than it explains. usable (n,)
-    bool: pixels that count; None: all.
+    given, and so does sigma: a width that follows every pixel's noise costs more than it explains. gloss: whether K_s
+    moves. usable (n,) bool: pixels that count; None: all.
     """
-    held = [np.moveaxis(maps.kd, -1, 0), np.moveaxis(maps.ks, -1, 0), np.log(np.clip(maps.sigma, WIDTH_FLOOR, 1e3))]
-    held = [a.astype(np.float32) for a in held]
-    weights = texel_weights(maps, factors, feet, encoding)
-    by_kd, by_ks, by_width = np.moveaxis(weights.kd, -1, 0), np.moveaxis(weights.ks, -1, 0), weights.sigma
-    body = float(by_kd.max(initial=0))
-    paces = [
-        _pace(by_kd, body),
-        _pace(by_ks, max(body, float(by_ks.max(initial=0)))),
-        _pace(by_width, float(by_width.max(initial=0))),
-    ]
-    ahead, momentum = held, 1.0
-    for _ in range(iterations):
-        gradients = _gradients(ahead, factors, feet, values, encoding, usable)
-        new = [
-            at + pace * gradient if moved else at
-            for at, pace, gradient, moved in zip(ahead, paces, gradients, move, strict=True)
-        ]
-        new = [np.maximum(new[0], 0), np.maximum(new[1], 0), np.clip(new[2], held[2] - 0.25, held[2] + 0.25)]
-        following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
-        factor = np.float32((momentum - 1) / following)
-        ahead = [n + factor * (n - h) for n, h in zip(new, held, strict=True)]
-        ahead[2] = np.clip(ahead[2], np.log(WIDTH_FLOOR), np.log(np.float32(1e3)))
-        held, momentum = new, following
-    return TileMaps(np.moveaxis(held[0], 0, -1), np.moveaxis(held[1], 0, -1), np.exp(held[2]))
-
-
-def _gradients(at: list[np.ndarray], factors: Factors, feet: Footprints, values: np.ndarray, encoding: str, usable):
-    """Compute the downhill directions of half the squared error of the pictures by kd, ks, log sigma."""
-    kd, ks, width = at
-    sigma = np.exp(width)
+    weights, sigma = texel_weights(maps, factors, feet, encoding), np.clip(maps.sigma, WIDTH_FLOOR, np.float32(1e3))
     lobe = factors.lobe(sigma)
-    linear = factors.irradiance * kd[:, None] + lobe[None] * ks[:, None]
-    left = values - feet.look_up(encode(linear, encoding))
-    if usable is not None:
-        left[:, ~usable] = 0
-    back = feet.spread(left)
-    if encoding != "linear":
-        back *= encoding_slope(linear, encoding)
-    to_lobe = np.einsum("comn,cmn->omn", back, ks)
-    by_width = np.sum(to_lobe * lobe * factors.squared_angle, axis=0) / sigma**2
-    return np.sum(back * factors.irradiance, axis=1), np.einsum("comn,omn->cmn", back, lobe), by_width
+    by_kd, by_ks, *held = (np.moveaxis(each, -1, 0) for each in (weights.kd, weights.ks, maps.kd, maps.ks))
+    body = float(by_kd.max(initial=0))
+    paces = _pace(by_kd, body), _pace(by_ks, max(body, float(by_ks.max(initial=0)))) * np.float32(gloss)
+    held = ahead = [each.astype(np.float32) for each in held]
+    momentum = 1.0
+    for _ in range(iterations):
+        linear = factors.irradiance * ahead[0][:, None] + lobe[None] * ahead[1][:, None]
+        left = values - feet.look_up(encode(linear, encoding))
+        if usable is not None:
+            left[:, ~usable] = 0
+        back = feet.spread(left)
+        if encoding != "linear":
+            back *= encoding_slope(linear, encoding)
+        # the downhill directions of half the squared error of the pictures
+        downhill = np.sum(back * factors.irradiance, axis=1), np.einsum("comn,omn->cmn", back, lobe)
+        new = [np.maximum(at + pace * slope, 0) for at, pace, slope in zip(ahead, paces, downhill, strict=True)]
+        following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
+        ahead = [n + np.float32((momentum - 1) / following) * (n - h) for n, h in zip(new, held, strict=True)]
+        held, momentum = new, following
+    return TileMaps(np.moveaxis(held[0], 0, -1), np.moveaxis(held[1], 0, -1), sigma)
 
 
 def texel_weights(maps: TileMaps, factors: Factors, feet: Footprints, encoding: str) -> TileMaps:
@@ -197,17 +179,13 @@ def encode_parameters(
         planes = np.tensordot(mix, values - mean[:, None, None], 1).astype(np.float32)
         share = np.clip(weight.mean(axis=-1) / usual, 0, 1) if usual > 0 else np.zeros(weight.shape[:2])
         step = design.parameter_steps[group]
-        out[: len(planes), group] = _solve_planes(planes, share.astype(np.float32), block, step, threshold)
+        root = np.sqrt(share.astype(np.float32))[None, None]
+        weigh = partial(np.multiply, root)
+        operator = Operator(weigh, weigh, float(share.max(initial=0)))
+        shape, data = (len(planes), 1, 1, *planes.shape[1:]), planes[:, None] * root
+        solution = solve(data, operator, block, shape, threshold=threshold * step, iterations=ITERATIONS)
+        out[: len(planes), group] = quantise(solution.coefficients, step)[:, 0, 0]
     return out
-
-
-def _solve_planes(planes: np.ndarray, share: np.ndarray, block: Block, step: float, threshold: float) -> np.ndarray:
-    root = np.sqrt(share)[None, None]
-    operator = Operator(lambda v: v * root, lambda v: v * root, float(share.max(initial=0)))
-    shape = (len(planes), 1, 1, *planes.shape[1:])
-    data = planes[:, None] * root
-    solution = solve(data, operator, block, shape, threshold=threshold * step, iterations=ITERATIONS)
-    return quantise(solution.coefficients, step)[:, 0, 0]
 
 
 def decode_parameters(values: np.ndarray, design: Design, extent: Extent) -> TileMaps:

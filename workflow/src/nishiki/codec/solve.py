@@ -149,7 +149,7 @@ def solve(
         left = data - operator.look(samples_of(block, held))
         return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
     ahead, momentum = held.copy(), 1.0
-    pace = dtype.type(1 / (operator.norm * block.bound()))
+    pace = dtype.type(1 / (operator.norm * block.plane.bound))
     for step in range(iterations):
         left = data - operator.look(samples_of(block, ahead))
         gradient = block.adjoint(operator.spread(left).reshape(shape))

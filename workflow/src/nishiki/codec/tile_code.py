@@ -136,17 +136,8 @@ def refine_tile(seen: Seen, maps: TileMaps, scene: CodedScene, design: Design, e
         return Refined(TileMaps(zero, zero, np.ones_like(maps.sigma)), TileMaps(zero, zero, zero[..., 0]))
     centres, lamps = scene.centres[seen.observations], [scene.lamps[o] for o in seen.observations]
     factors = model_factors(design.channels, seen.surface, centres, lamps)
-    moved = (True, effort.gloss, False)
-    maps = refine(
-        maps,
-        factors,
-        seen.feet,
-        seen.values,
-        design.encoding,
-        iterations=effort.refinements,
-        move=moved,
-        usable=seen.usable,
-    )
+    effort_of = {"iterations": effort.refinements, "gloss": effort.gloss, "usable": seen.usable}
+    maps = refine(maps, factors, seen.feet, seen.values, design.encoding, **effort_of)
     return Refined(maps, texel_weights(maps, factors, seen.feet, design.encoding))
 
 

@@ -245,7 +245,12 @@ def estimate_spectra(
         flat = np.ascontiguousarray(observed.reshape(-1, channels), dtype=np.float32)
     coefficients = np.empty((len(flat), size), np.float32)
     sigma, flags = np.empty(len(flat), np.float32), np.empty(len(flat), np.uint8)
-    _apply(flat, estimator, coefficients, sigma, flags, threads or given_threads())
+    tables = _tables(estimator)
+
+    def run(part: slice) -> None:
+        kernels.apply_estimator(flat[part], tables, coefficients[part], sigma[part], flags[part])
+
+    over_items(run, strips(len(flat)), threads or given_threads())
     counts = {flag.name.lower(): int(np.count_nonzero(flags & flag)) for flag in SpectralFlag}
     return SpectralField(
         coefficients=coefficients.reshape(*shape, size),
@@ -255,16 +260,6 @@ def estimate_spectra(
         condition=estimator.condition,
         counts=counts,
     )
-
-
-def _apply(responses, estimator, coefficients, sigma, flags, threads):
-    """Run the kernel over slices of the pixels, on so many threads."""
-    tables = _tables(estimator)
-
-    def run(part):
-        kernels.apply_estimator(responses[part], tables, coefficients[part], sigma[part], flags[part])
-
-    over_items(run, strips(len(responses)), threads)
 
 
 def _tables(e: SpectralEstimator) -> kernels.Tables:
