@@ -267,14 +267,14 @@ def _transpose(source, target, rows, columns):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def plane_levels(planes, chosen, backwards, down, across, scratch):
+def plane_levels(planes, backwards, down, across, scratch):
     """Transform all planes (n, rows, columns) in place, each level the corner that it covers.
 
-    backwards: from the coarsest level on. chosen (n, rows, columns) uint8: an analysis need only be right there;
-    without entries (0, 0, 0) everywhere. down, across: index and weights of `SparseRows`. scratch: of `_levels`. Planes
-    that are all zero stay so.
+    backwards: from the coarsest level on; down, across: index and weights of `SparseRows`; scratch: of `_levels`.
+    Planes that are all zero stay so.
     """
     first, second, levels = scratch[0], scratch[1], len(down[0])
+    every = np.ones(len(first), np.bool_)
     for n in range(planes.shape[0]):
         plane = planes[n]
         for count in range(levels):
@@ -283,16 +283,12 @@ def plane_levels(planes, chosen, backwards, down, across, scratch):
             rows_filled, columns_filled = np.empty(rows, np.bool_), np.empty(columns, np.bool_)
             if not _mark(plane, rows_filled, columns_filled):
                 continue
-            rows_needed, columns_needed = np.ones(rows, np.bool_), np.ones(columns, np.bool_)
-            if chosen.shape[0] > 0:
-                _mark(chosen[n], rows_needed, columns_needed)
-                rows_needed[: rows // 2], columns_needed[: columns // 2] = True, True  # the next level's corner
             _copy(plane, second, rows, columns)
             part = 0, columns
-            apply_rows(down[0][level], down[1][level], rows, second, first, part, rows_filled, rows_needed)
+            apply_rows(down[0][level], down[1][level], rows, second, first, part, rows_filled, every)
             _transpose(first, second, rows, columns)
             part = 0, rows
-            apply_rows(across[0][level], across[1][level], columns, second, first, part, columns_filled, columns_needed)
+            apply_rows(across[0][level], across[1][level], columns, second, first, part, columns_filled, every)
             _transpose(first, second, columns, rows)
             _copy(second, plane, rows, columns)
 
@@ -324,15 +320,12 @@ def apply_axis(matrix, source, target, needed):
             apply_rows(index, matrix, len(matrix), source[o], target[o], part, filled, needed[o])
 
 
-EVERYWHERE = np.empty((0, 0, 0), np.uint8)
-
-
-def _levels(planes: np.ndarray, plane: PlaneTransform, kind: str, chosen: np.ndarray = EVERYWHERE) -> None:
+def _levels(planes: np.ndarray, plane: PlaneTransform, kind: str) -> None:
     """Transform all levels in place; kind: analysis, adjoint go from the finest level, synthesis from the coarsest."""
     side = -(-max(plane.shape) // LANES) * LANES
     scratch = np.zeros((2, side, side), planes.dtype)
     down, across = (getattr(axis, kind).rows(planes.dtype) for axis in (plane.down, plane.across))
-    plane_levels(planes, chosen, kind == "synthesis", down, across, scratch)
+    plane_levels(planes, kind == "synthesis", down, across, scratch)
 
 
 def along(matrix: np.ndarray, values: np.ndarray, axis: int, needed: np.ndarray | None = None) -> np.ndarray:
@@ -366,8 +359,7 @@ class Block:
     def forward(self, values: np.ndarray) -> np.ndarray:
         """Compute coefficients of samples (channels, lights, views, rows, columns), float32 or float64."""
         out = np.array(along(self.lights, along(self.views, values, 2), 1), copy=True)
-        planes = out.reshape(-1, *out.shape[-2:])
-        _levels(planes, self.plane, "analysis")
+        _levels(out.reshape(-1, *out.shape[-2:]), self.plane, "analysis")
         return out if self.plane.orthonormal else out * self._gains(out.dtype)
 
     def inverse(self, coefficients: np.ndarray) -> np.ndarray:
@@ -380,17 +372,16 @@ class Block:
     def adjoint(self, values: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
         """Apply the transpose of `inverse`: the gradient by the coefficients; `forward` where orthonormal.
 
-        chosen: of the coefficients' shape, uint8: the result is right where it is not zero, and finite elsewhere.
+        chosen: of the coefficients' shape, uint8, 0 or 1: planes without any become zero.
         """
-        if chosen is None:
-            turned = along(self.lights, along(self.views, values, 2), 1)
-        else:
-            needed = chosen.view(bool).reshape(*chosen.shape[:3], -1).any(axis=3)
-            views = np.repeat(needed.any(axis=1, keepdims=True), values.shape[1], axis=1)
-            turned = along(self.lights, along(self.views, values, 2, views), 1, needed.any(axis=2))
+        needed = views = None
+        if chosen is not None:
+            planes = chosen.view(bool).reshape(*chosen.shape[:3], -1).any(axis=3)
+            needed = planes.any(axis=2)
+            views = np.repeat(planes.any(axis=1, keepdims=True), values.shape[1], axis=1)
+        turned = along(self.lights, along(self.views, values, 2, views), 1, needed)
         out = np.array(turned, copy=True) if np.shares_memory(turned, values) else turned
-        planes = out.reshape(-1, *out.shape[-2:])
-        _levels(planes, self.plane, "adjoint", EVERYWHERE if chosen is None else chosen.reshape(planes.shape))
+        _levels(out.reshape(-1, *out.shape[-2:]), self.plane, "adjoint")
         if not self.plane.orthonormal:
             out /= self._gains(out.dtype)
         return out
