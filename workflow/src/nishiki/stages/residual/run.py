@@ -133,7 +133,7 @@ def run(context: Context) -> dict:
             encoded = find_step(run_pass, miss, compete=compete, **found)
             alike = rate(point_of(encoded))
             if pictures is not None and point_of(pictures).psnr_db > alike:
-                encoded = coarse
+                encoded, alike = coarse, max(alike, expected or 0)  # a first pass is not all that texels reach
             else:
                 pictures = None
     figures: dict = {**diagnostics(encoded, counts), "pictures": None}
