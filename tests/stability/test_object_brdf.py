@@ -7,13 +7,13 @@ from stability.cases import case, powers_of_ten, relative, worst_over
 from unit.test_object_brdf import patch, ring
 
 from nishiki.brdf.slopes import GRAZING
-from nishiki.brdf.texels.environment import fit_environment, fit_highlight, sample_texels, settle
+from nishiki.brdf.texels.environment import fit_environment, fit_highlight, settle
 from nishiki.brdf.texels.environment import residuals as left_of
 from nishiki.brdf.texels.model import CaptureLamps, factors, predict
 from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, fill, spread
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.texel_fit import CaptureViews, Tile
+from nishiki.brdf.texels.texel_fit import CaptureViews, Tile, sample_texels
 
 CAMERA = CaptureLamps("camera", ((0.0, 0.0, 0.0),))
 SEEN = 0.15  # cos(theta_r) above which a texel is visible
@@ -320,7 +320,7 @@ def test_settling_on_nothing():
     cameras, light_of = ring(), np.zeros(36, int)
     for stated in (lighting(), CaptureLamps.from_capture({"kind": "unknown"}, lights=1, unit="mm")):
         for tiles in ([blind], [blind, tile]):
-            sample = sample_texels(lambda k, tiles=tiles: tiles[k], list(range(len(tiles))))
+            sample = sample_texels(lambda k, tiles=tiles: tiles[k], list(range(len(tiles))), 4000)
             found, report = settle(stated, sample, cameras, light_of, falloff="auto")
             numbers = [v for v in _numbers(report) if isinstance(v, float)]
             wrong += not np.isfinite(numbers).all() or not np.isfinite(found.lamp(cameras[0]).vector).all()

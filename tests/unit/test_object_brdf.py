@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from nishiki.brdf.texels.environment import Sample, place_lamp, settle
+from nishiki.brdf.texels.environment import settle
 from nishiki.brdf.texels.model import CaptureLamps, predict
 from nishiki.brdf.texels.object_fit import fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.texel_fit import CaptureViews, Tile, lambert
+from nishiki.brdf.texels.shading import find_lamp
+from nishiki.brdf.texels.texel_fit import CaptureViews, Sample, Tile, lambert
 from nishiki.geometry.camera import Camera
 
 VIEWS, SIZE, RADIUS, DISTANCE = 36, 24, 50.0, 600.0
@@ -290,8 +291,8 @@ def test_a_lamp_beside_the_camera_is_found_by_shading_and_gloss(place, encoding)
         visible[:, k] = (normals * (camera.centre - normals)).sum(axis=1) > 0.2 * DISTANCE
     values[rng.random(visible.shape) < 0.03] = 0
     values += rng.normal(0, 0.005, values.shape).astype(np.float32)
-    sample = Sample(normals, normals, values, visible)
-    found = place_lamp(sample, cameras, np.arange(len(cameras)), encoding)
+    sample = Sample(normals, normals, values, visible, np.arange(len(normals)))
+    found = find_lamp(sample, cameras, np.arange(len(cameras)), falloff=False)
     if not any(place):
         assert found == (0.0, 0.0, 0.0)
     assert np.abs(np.array(found) - lighting.vectors[0]).max() < DISTANCE / 40
@@ -307,7 +308,7 @@ def test_light_from_all_around_is_no_lamp_beside_the_camera():
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     values = np.repeat(rng.uniform(0.1, 0.8, (300, 1, 3)), len(cameras), axis=1).astype(np.float32)
     visible = np.stack([(normals * (c.centre - normals)).sum(axis=1) > 0.2 * DISTANCE for c in cameras], axis=1)
-    sample = Sample(normals, normals, values, visible)
+    sample = Sample(normals, normals, values, visible, np.arange(len(normals)))
     lighting, report = settle(
         CaptureLamps("camera", ((0.0, 0.0, 0.0),)), sample, cameras, np.zeros(len(cameras), int), falloff="none"
     )

@@ -8,7 +8,7 @@ from refusals import refused
 from nishiki.codec.compact import decode_mesh, encode_mesh, grid_step, mesh_step, shift
 from nishiki.codec.range_coder import begin, code_bit, finish
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.mesh import Mesh, measure_tilts, tangents, tilt_normals
 
 
 def sphere(rows=24, columns=48, bump=0.1):
@@ -100,6 +100,24 @@ def test_a_mesh_on_the_grid_comes_back_exactly_with_its_normals():
     restored = encode_mesh(snapped, step=step).restore(snapped)
     np.testing.assert_array_equal(restored.vertices, snapped.vertices)
     np.testing.assert_array_equal(restored.normals, snapped.normals)
+
+
+def test_tilted_normals_come_back_with_the_mesh():
+    mesh, step = sphere(), 2.0**-9
+    grid = np.round(mesh.vertices / step) * step
+    steps = np.random.default_rng(4).integers(-127, 128, (len(grid), 2)).astype(np.int8)
+    steps[:5] = 0
+    turned = tilt_normals(grid, mesh.triangles, steps)
+    np.testing.assert_array_equal(measure_tilts(turned), steps)
+    coded = encode_mesh(turned, step=step)
+    np.testing.assert_array_equal(coded.restore(turned).normals, turned.normals)
+    decoded = decode_mesh(coded.data)
+    by_place = dict(zip(map(tuple, turned.vertices), turned.normals, strict=True))
+    expected = np.array([by_place[tuple(place)] for place in decoded.vertices])
+    np.testing.assert_allclose(decoded.normals, expected, atol=1e-6)
+    across = tangents(mesh.normals.astype(float))
+    np.testing.assert_allclose(across @ across.swapaxes(1, 2), np.broadcast_to(np.eye(2), (len(grid), 2, 2)), atol=1e-6)
+    np.testing.assert_allclose(np.einsum("vki,vi->vk", across, mesh.normals), 0, atol=1e-6)
 
 
 def test_unused_vertices_are_left_out():

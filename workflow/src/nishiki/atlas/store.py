@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,10 @@ import numpy as np
 import zarr
 
 from nishiki.atlas.atlas import Atlas
+from nishiki.atlas.surface import texel_points, texel_triangles
 from nishiki.formats.stored import open_made_by
 from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh
 
 STORE = "texels.zarr"
 ATLAS = "atlas.npz"
@@ -52,8 +55,9 @@ class Texels:
         self._arrays: dict[str, zarr.Array] = {}
         self._cache: dict[tuple, tuple[int, np.ndarray]] = {}
         self._lock = threading.Lock()
+        self._mesh: Mesh | None = None
 
-    @property
+    @cached_property
     def atlas(self) -> Atlas:
         """The atlas that the tiles belong to."""
         return Atlas.load(self.folder / ATLAS)
@@ -72,13 +76,25 @@ class Texels:
         """Read where `read` has a value: (M, T, T) bool."""
         return np.stack([self._read_tile("visible", tile, o) for o in range(self.observations)]) != 0
 
+    def turn_normals(self, mesh: Mesh) -> None:
+        """Take the normals from a mesh: the surface that the texels are of, with normals of its own."""
+        self._mesh = mesh
+
+    @cached_property
+    def triangles(self) -> np.ndarray:
+        """Nearest triangle of each texel, as `texel_triangles`."""
+        return texel_triangles(self.atlas)
+
     def geometry(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Read positions (T, T, 3) float32, unit normals (T, T, 3) float32, inside (T, T) bool of a tile; 0 outside.
 
         Inside: among the four texels that some surface point is interpolated from.
         """
-        normals = self._read_tile("normals", tile)
-        return self._read_tile("positions", tile), normals, (normals != 0).any(axis=-1)
+        positions, normals = self._read_tile("positions", tile), self._read_tile("normals", tile)
+        inside = (normals != 0).any(axis=-1)
+        if self._mesh is not None:
+            normals = texel_points(self._mesh, self.atlas, self.triangles, slice(tile, tile + 1))[1][0]
+        return positions, normals, inside
 
     def samples(self, component: str, tile: int, *, saturated: bool = False) -> TexelSamples:
         """Read every valid object pixel of every observation that falls into a tile; those of held-out views too.

@@ -2,7 +2,7 @@
 
 Draco (https://google.github.io/draco; glTF's KHR_draco_mesh_compression)
 walks over the surface from edge to edge and predicts each position from its neighbours, so that vertices and triangles
-come back in the order of that walk.
+come back in the order of that walk; normals as small tilts against those of the triangles.
 """
 
 import lzma
@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from nishiki.geometry.camera import NO_DISTORTION, Camera
-from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.mesh import Mesh, measure_tilts, tilt_normals
 
-_HEADER = struct.Struct("<i3i")  # exponent of the grid's step, lowest corner in steps
+_HEADER = struct.Struct("<i3iI")  # exponent of the grid's step, lowest corner in steps, bytes of the tilts
+_PACKED: dict = {"format": lzma.FORMAT_RAW, "filters": [{"id": lzma.FILTER_LZMA2, "preset": 9}]}
 _LEVELS = (7, 10)  # of Draco's effort: the first gives fewer bytes below some thousand triangles, the second above
 GRID_PX = 0.05  # by which a grid may move a vertex
 _LARGEST = 2**29  # steps along an axis; Draco predicts in 32-bit integers
@@ -30,8 +31,8 @@ class CompactMesh:
     step: float
 
     def restore(self, mesh: Mesh) -> Mesh:
-        """Return the decoded positions in the order of `mesh`, with normals computed from them."""
-        return Mesh.of(np.round(mesh.vertices / self.step) * self.step, mesh.triangles)
+        """Return the decoded positions and normals in the order of `mesh`."""
+        return tilt_normals(np.round(mesh.vertices / self.step) * self.step, mesh.triangles, measure_tilts(mesh))
 
 
 def encode_mesh(mesh: Mesh, *, step: float) -> CompactMesh:
@@ -56,10 +57,12 @@ def encode_mesh(mesh: Mesh, *, step: float) -> CompactMesh:
     if points.max() >= _LARGEST or np.abs(lowest).max() >= 2**31:
         raise ValueError(f"step {step!r} is too small for positions up to {np.abs(mesh.vertices[used]).max()!r}")
     forms = [DracoPy.encode(points.astype(np.uint32), triangles, compression_level=level) for level in _LEVELS]
-    data = _HEADER.pack(exponent, *lowest.astype(int).tolist()) + min(forms, key=len)
-    decoded = decode_mesh(data)
-    order = _same_triangles(grid[used], triangles, np.round(decoded.vertices / step), decoded.triangles)
-    return CompactMesh(data, kept[order], step)
+    form = min(forms, key=len)
+    decoded = DracoPy.decode(form)
+    order, vertex_of = _same_triangles(points, triangles, np.asarray(decoded.points), np.asarray(decoded.faces))
+    tilts = lzma.compress(measure_tilts(mesh)[used[vertex_of]].T.tobytes(), **_PACKED)
+    header = _HEADER.pack(exponent, *lowest.astype(int).tolist(), len(tilts))
+    return CompactMesh(header + tilts + form, kept[order], step)
 
 
 def decode_mesh(data: bytes) -> Mesh:
@@ -67,25 +70,36 @@ def decode_mesh(data: bytes) -> Mesh:
     import DracoPy
 
     try:
-        exponent, *lowest = _HEADER.unpack_from(data)
-        decoded = DracoPy.decode(data[_HEADER.size :])
+        exponent, *lowest, size = _HEADER.unpack_from(data)
+        tilts, form = np.split(np.frombuffer(data, np.uint8, offset=_HEADER.size), [size])
+        decoded = DracoPy.decode(form.tobytes())
+        steps = np.frombuffer(lzma.decompress(tilts.tobytes(), **_PACKED), np.int8).reshape(2, -1).T
     except Exception as error:  # Draco has errors of its own
         raise ValueError(f"not a compact mesh ({error})") from None
     points = np.asarray(decoded.points).astype(np.int64)
-    return Mesh.of((points + np.array(lowest)) * 2.0**exponent, np.asarray(decoded.faces).astype(np.int32))
+    vertices = (points + np.array(lowest)) * 2.0**exponent
+    return tilt_normals(vertices, np.asarray(decoded.faces).astype(np.int32), steps)
 
 
-def _same_triangles(points, triangles, decoded_points, decoded_triangles) -> np.ndarray:
-    """Find for each decoded triangle the number (f,) of that with the same three points in the same turn."""
+def _same_triangles(points, triangles, decoded_points, decoded_triangles) -> tuple[np.ndarray, np.ndarray]:
+    """Find for each decoded triangle the number (f,) of that with the same three points in the same turn.
+
+    Second, for each decoded vertex the number (v,) of its own before.
+    """
     _, places = np.unique(np.concatenate([points, decoded_points]), axis=0, return_inverse=True)
     places = places.reshape(-1)
-    ranks = []
-    for corners in (places[triangles], places[len(points) :][decoded_triangles]):
-        first = corners.argmin(axis=1)[:, None]
-        ranks.append(np.lexsort(np.take_along_axis(corners, (first + np.arange(3)) % 3, axis=1).T))
-    order = np.empty(len(ranks[0]), np.int64)
+    ranks, rolled = [], []
+    for numbers, corners in (
+        (triangles, places[triangles]),
+        (decoded_triangles, places[len(points) :][decoded_triangles]),
+    ):
+        turned = (corners.argmin(axis=1)[:, None] + np.arange(3)) % 3
+        ranks.append(np.lexsort(np.take_along_axis(corners, turned, axis=1).T))
+        rolled.append(np.take_along_axis(numbers, turned, axis=1))
+    order, vertex_of = np.empty(len(ranks[0]), np.int64), np.empty(len(decoded_points), np.int64)
     order[ranks[1]] = ranks[0]
-    return order
+    vertex_of[rolled[1]] = rolled[0][order]
+    return order, vertex_of
 
 
 def grid_step(mesh: Mesh, cameras: list[Camera], *, shift_px: float = GRID_PX) -> float:
@@ -139,8 +153,7 @@ def chart_bytes(chart: np.ndarray, order: np.ndarray) -> int:
     """Count the bytes of the atlas: chart numbers (f,) in the order (f,) of the mesh's walk, and each chart's own."""
     charts = int(chart.max(initial=-1)) + 1
     along = chart[order].astype(np.min_scalar_type(charts)).tobytes()
-    coded = lzma.compress(along, format=lzma.FORMAT_RAW, filters=[{"id": lzma.FILTER_LZMA2, "preset": 9}])
-    return len(coded) + 4 * _CHART_NUMBERS * charts
+    return len(lzma.compress(along, **_PACKED)) + 4 * _CHART_NUMBERS * charts
 
 
 def lamp_bytes(lighting: dict) -> int:

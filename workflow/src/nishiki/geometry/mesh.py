@@ -68,6 +68,37 @@ def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0]).astype(np.float32)
 
 
+TILT_STEP = 0.03  # tangent of the angle by which steps of a tilt are apart
+MOST_STEPS = 127  # of a tilt along either axis: 8 bits, 75 degrees
+
+
+def tangents(normals: np.ndarray) -> np.ndarray:
+    """Compute two unit vectors (v, 2, 3) across unit normals (v, 3).
+
+    A reflection carries a fixed axis there, so that they change smoothly but near the opposite of that axis.
+    """
+    axis, across = np.array([0.36, 0.48, 0.8]), np.array([[0.8, -0.6, 0.0], [0.48, 0.64, -0.6]])
+    sums = normals + axis
+    share = 2 / np.maximum(np.einsum("vi,vi->v", sums, sums), 1e-12)
+    return across - share[:, None, None] * (sums @ across.T)[:, :, None] * sums[:, None]
+
+
+def measure_tilts(mesh: Mesh) -> np.ndarray:
+    """Compute the steps (v, 2) int8 by which a mesh's normals are tilted against those of its triangles."""
+    plain = vertex_normals(mesh.vertices, mesh.triangles).astype(float)
+    along = np.maximum(np.einsum("vi,vi->v", plain, mesh.normals), 1e-3)
+    steps = np.einsum("vki,vi->vk", tangents(plain), mesh.normals) / (TILT_STEP * along[:, None])
+    return np.clip(np.rint(steps), -MOST_STEPS, MOST_STEPS).astype(np.int8)
+
+
+def tilt_normals(vertices: np.ndarray, triangles: np.ndarray, steps: np.ndarray) -> Mesh:
+    """Build a mesh whose normals are tilted by steps (v, 2) against those of its triangles."""
+    plain = vertex_normals(vertices, triangles)
+    normals = plain + TILT_STEP * np.einsum("vk,vki->vi", steps.astype(float), tangents(plain.astype(float)))
+    normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
+    return Mesh(vertices, triangles, np.where(steps.any(axis=1, keepdims=True), normals, plain))
+
+
 def read_triangles(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Read vertices (v, 3) float64 and triangles (f, 3) int64 of a PLY or OBJ file, as they are.
 

@@ -10,14 +10,14 @@ Gauss-Newton with weights that fall with the residual, for cast shadows, highlig
 from one direction in the lamp frame, if left-out views confirm it.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.model import HARMONICS, TO_LAMP_FRAME, CaptureLamps, factors
-from nishiki.brdf.texels.texel_fit import Tile
+from nishiki.brdf.texels.shading import find_lamp
+from nishiki.brdf.texels.texel_fit import Sample
 from nishiki.colour.colour import encoding_slope
 from nishiki.geometry.camera import Camera
 
@@ -205,100 +205,8 @@ def hemisphere(count: int) -> np.ndarray:
     return np.stack([r * np.cos(turn), r * np.sin(turn), z], axis=1).astype(np.float32)
 
 
-SAMPLE = 4000  # texels
+FEWER = 1500  # texels by which a lamp is placed
 LEAST_NEAR_GAIN = 0.01  # of the residual that the inverse square of a near lamp has to take off
-
-
-@dataclass(frozen=True)
-class Sample:
-    """Texels picked evenly: positions, normals (n, 3); values (n, M, channels) total radiance; visible (n, M)."""
-
-    positions: np.ndarray
-    normals: np.ndarray
-    values: np.ndarray
-    visible: np.ndarray
-
-
-def sample_texels(read: Callable[[int], Tile], tiles: list[int], count: int = SAMPLE) -> Sample:
-    """Pick every k-th texel of every tile, about `count` in all; of tiles in even steps where these are many."""
-    chosen = tiles[:: max(len(tiles) // 200, 1)]
-    parts = [[], [], [], []]
-    for number in chosen:
-        tile = read(number)
-        seen = np.flatnonzero(tile.inside.ravel() & (tile.visible.reshape(len(tile.visible), -1).sum(axis=0) >= 3))
-        picked = seen[:: max(len(seen) * len(chosen) // count, 1)]
-        total = tile.values if tile.specular is None else tile.values + tile.specular
-        flat = total.reshape(total.shape[0], -1, total.shape[-1])
-        values = [tile.positions.reshape(-1, 3)[picked], tile.normals.reshape(-1, 3)[picked]]
-        values += [np.moveaxis(flat[:, picked], 1, 0), tile.visible.reshape(len(flat), -1)[:, picked].T]
-        for part, value in zip(parts, values, strict=True):
-            part.append(value)
-    return Sample(*(np.concatenate(part) for part in parts))
-
-
-LOBE_BIN, LOBE_BINS = np.radians(2), 16  # of the object's common lobe over alpha; the last one has no gloss
-LOBE_ROUNDS = 6  # of colours, lobe and robust weights in turn
-PLACING = 1500  # texels
-FIRST_STEP, LAST_STEP = 0.08, 0.004  # of the search for the lamp's place, in distances of the camera
-MOST_BESIDE = 0.5  # distances of the camera; light from all around draws the search farther than any lamp beside it
-LEAST_BESIDE_GAIN = 0.1  # of the residual that a lamp beside the camera has to take off
-
-
-def place_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, encoding: str) -> tuple[float, float, float]:
-    """Find the place (x, y, 0) of a lamp beside the camera, in the lamp frame and the world's unit.
-
-    cameras: of the light's observations `of`.  A pattern search for the place whose model, K_d of every texel and one
-    lobe for all, has the smallest robust residual.  Shading tells how far the lamp stands to the side, along the turn;
-    how high it stands only highlights tell, as far as all texels have the same gloss.  0 0 0 where no place takes
-    LEAST_BESIDE_GAIN off the residual of a lamp at the camera, or the best one lies beyond MOST_BESIDE.
-    """
-    some = slice(None, None, max(len(sample.positions) // PLACING, 1))
-    positions, normals, values = sample.positions[some], sample.normals[some], sample.values[some][:, of].mean(axis=-1)
-    seen = sample.visible[some][:, of] * np.isfinite(values)
-    values = np.nan_to_num(values)
-    if encoding == "srgb":
-        seen = seen * encoding_slope(values, "srgb") ** 2
-    if not np.any(values * seen) or np.count_nonzero(seen.sum(axis=1)) < FEWEST:
-        return NOWHERE
-
-    def residual(place: np.ndarray) -> float:
-        lighting = CaptureLamps("position", ((*place, 0.0),))
-        found = [factors(positions, normals, camera.centre, lighting.lamp(camera), 1) for camera in cameras]
-        lit = np.stack([irradiance[:, 0] for irradiance, _ in found], axis=1)
-        strength, cos_r, alpha2 = np.moveaxis(np.stack([angles for _, angles in found], axis=1), -1, 0)
-        weights, gloss = seen * np.maximum(cos_r, 0) * (strength > 0), strength / np.maximum(cos_r, GRAZING)
-        place_of = np.minimum((np.sqrt(alpha2) / LOBE_BIN).astype(int), LOBE_BINS - 1)
-        lobe, robust = np.zeros(LOBE_BINS), np.ones_like(weights)
-        for _ in range(LOBE_ROUNDS):
-            shown, counted = lobe[place_of] * gloss, weights * robust
-            kd = np.maximum(_ratio((counted * lit * (values - shown)).sum(axis=1), (counted * lit**2).sum(axis=1)), 0)
-            left = values - kd[:, None] * lit
-            sums = [np.bincount(place_of.ravel(), (counted * gloss * to).ravel(), LOBE_BINS) for to in (left, gloss)]
-            lobe = np.maximum(_ratio(*sums), 0)
-            lobe[-1] = 0
-            off = np.abs(left - lobe[place_of] * gloss)
-            scale = 3 * float(np.median(off[weights > 0])) or 1.0
-            robust = 1 / (1 + (off / scale) ** 2)
-        return float(np.average(np.minimum(off, level), weights=weights))
-
-    level = 0.2 * float(np.median(values[seen > 0]))  # larger residuals, of shadows, count as this one
-    distance = float(np.linalg.norm(cameras[0].centre - positions.mean(axis=0)))
-    place, step = np.zeros(2), FIRST_STEP * distance
-    first = best = residual(place)
-    while step > LAST_STEP * distance and np.hypot(*place) <= MOST_BESIDE * distance:
-        for move in step * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]):
-            if (tried := residual(place + move)) < best:
-                best, place = tried, place + move
-                break
-        else:
-            step /= 2
-    x, y = place.tolist()
-    beside = np.hypot(x, y) <= MOST_BESIDE * distance and best < (1 - LEAST_BESIDE_GAIN) * first
-    return (x, y, 0.0) if beside else NOWHERE
-
-
-def _ratio(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    return above / np.where(below > 0, below, 1)
 
 
 def settle(
@@ -320,10 +228,8 @@ def settle(
         return _fit_irradiance(sample, cameras, light_of, len(stated.vectors), encoding)
     centre, moved = sample.positions.mean(axis=0) if len(sample.positions) else np.zeros(3), {}
     if stated.kind == "camera" and beside:
-        found = [
-            place_lamp(sample, [cameras[o] for o in of], of, encoding)
-            for of in (np.flatnonzero(light_of == light) for light in range(len(stated.vectors)))
-        ]
+        few, lit = sample.thin(FEWER), [np.flatnonzero(light_of == light) for light in range(len(stated.vectors))]
+        found = [find_lamp(few, [cameras[o] for o in of], of, falloff=falloff != "none") for of in lit]
         if any(map(any, found)):
             stated, distance = CaptureLamps("position", tuple(found)), np.linalg.norm(cameras[0].centre - centre)
             moved = {"beside_camera_deg": np.degrees(np.arctan2(np.hypot(*np.array(found).T[:2]), distance)).tolist()}

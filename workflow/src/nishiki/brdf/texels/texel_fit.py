@@ -8,6 +8,7 @@ and K_s at a given sigma with a prior for K_s from the neighbours (`nishiki.brdf
 relative: how much information the texel has, in units of 1 / noise^2, noise being the scene's (see `noise_of`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -130,6 +131,40 @@ class Tile:
         both = self.inside[:, 1:] & self.inside[:, :-1]
         steps = np.linalg.norm(np.diff(self.positions, axis=1)[both], axis=-1)
         return float(np.median(steps)) if steps.size else float("nan")
+
+
+@dataclass(frozen=True)
+class Sample:
+    """Texels picked evenly: positions, normals (n, 3); values (n, M, channels) total radiance; visible (n, M)."""
+
+    positions: np.ndarray
+    normals: np.ndarray
+    values: np.ndarray
+    visible: np.ndarray
+    texels: np.ndarray  # (n,) numbers of the texels, tile by tile
+
+    def thin(self, count: int) -> "Sample":
+        """Return about `count` of the texels, evenly picked."""
+        step = max(len(self.positions) // count, 1)
+        return Sample(*(values[::step] for values in vars(self).values()))
+
+
+def sample_texels(read: Callable[[int], Tile], tiles: list[int], count: int) -> Sample:
+    """Pick every k-th texel of every tile, about `count` in all; of tiles in even steps where these are many."""
+    chosen = tiles[:: max(len(tiles) // 200, 1)]
+    parts = [[], [], [], [], []]
+    for number in chosen:
+        tile = read(number)
+        seen = np.flatnonzero(tile.inside.ravel() & (tile.visible.reshape(len(tile.visible), -1).sum(axis=0) >= 3))
+        picked = seen[:: max(len(seen) * len(chosen) // count, 1)]
+        total = tile.values if tile.specular is None else tile.values + tile.specular
+        flat = total.reshape(total.shape[0], -1, total.shape[-1])
+        values = [tile.positions.reshape(-1, 3)[picked], tile.normals.reshape(-1, 3)[picked]]
+        values += [np.moveaxis(flat[:, picked], 1, 0), tile.visible.reshape(len(flat), -1)[:, picked].T]
+        values.append(number * tile.inside.size + picked)
+        for part, value in zip(parts, values, strict=True):
+            part.append(value)
+    return Sample(*(np.concatenate(part) for part in parts))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ import numpy as np
 from nishiki.artifacts.artifact import Artifact
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import Texels
-from nishiki.atlas.surface import texel_points, texel_triangles
+from nishiki.atlas.surface import texel_points
 from nishiki.brdf.texels.model import ENVIRONMENT, POINT, CaptureLamps, ViewLamp, predict
 from nishiki.codec.pictures import decode_picture
 from nishiki.codec.store import CodedReader, Residual
@@ -80,21 +80,21 @@ class DecodedObject:
     @classmethod
     def open(cls, inputs: Mapping[str, Artifact]) -> "DecodedObject":
         """Open the artifacts of cameras, mesh, texels, reflection and residual; ingest gives the ceiling alone."""
-        texels = Texels(inputs["texels"].folder)
-        lighting = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())["lighting"]
+        texels, reflection = Texels(inputs["texels"].folder), inputs["object_brdf"]
+        lighting = json.loads(reflection.path("object_brdf.json").read_text())["lighting"]
         atlas = texels.atlas
-        mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
+        mesh, cameras = Mesh.load(reflection.path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
         if len(mesh.triangles) != len(atlas.chart) or [camera.name for camera in cameras] != list(texels.views):
             raise UserError(
                 f"{inputs['texels'].folder}: the texels are of {len(atlas.chart)} triangles and {len(texels.views)} "
                 f"views, mesh and cameras of {len(mesh.triangles)} and {len(cameras)}; expected the same ones. Remedy: "
                 "give artifacts that were made from one another"
             )
-        residual, triangles = Residual(inputs["residual"].folder), texel_triangles(atlas)
+        residual = Residual(inputs["residual"].folder)
         names = tuple(texels.views), tuple(texels.lights)
         ceiling = largest_value(Views(inputs["ingest"].folder)) if "ingest" in inputs else None
         described = texels.encoding, texels.channels, texels.full_turn, *names, ceiling
-        return cls(mesh, atlas, cameras, residual, CaptureLamps.from_dict(lighting), triangles, *described)
+        return cls(mesh, atlas, cameras, residual, CaptureLamps.from_dict(lighting), texels.triangles, *described)
 
     def renderer(self, *, mesh: Mesh | None = None, **options) -> "ObjectRenderer":
         """Make a renderer of the object; `mesh`: the same triangles at other places; options as of `ObjectRenderer`."""

@@ -65,7 +65,7 @@ OBJECT_LIMITS = (
 )
 
 
-class ObjectBrdfSettings(Guarded, stage="object_brdf", version=6, limits=OBJECT_LIMITS):
+class ObjectBrdfSettings(Guarded, stage="object_brdf", version=7, limits=OBJECT_LIMITS):
     """Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
 
     lighting: Literal["auto", "camera", "fitted"] = Field(
@@ -100,7 +100,7 @@ OBJECT = Stage(
     outputs=OBJECT_OUTPUTS,
     store="parameters.zarr",
     geometry="turntable",
-    requires=("ingest", "texels"),
+    requires=("ingest", "mesh", "texels"),
     libraries=ARRAYS,
     # with polarisers diffuse and specular part
     cost=lambda facts: Cost(

@@ -8,17 +8,21 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.atlas.store import Texels
 from nishiki.brdf.slopes import GRAZING
-from nishiki.brdf.texels.environment import Sample, sample_texels, settle
+from nishiki.brdf.texels.environment import settle
 from nishiki.brdf.texels.model import CaptureLamps, factors
 from nishiki.brdf.texels.object_fit import fit_lambert, fit_object
 from nishiki.brdf.texels.parameters import ParameterWriter
-from nishiki.brdf.texels.texel_fit import CaptureViews, Tile
+from nishiki.brdf.texels.shading import refine_normals
+from nishiki.brdf.texels.texel_fit import CaptureViews, Sample, Tile, sample_texels
 from nishiki.colour.colour import encoding_slope
 from nishiki.errors import UserError
+from nishiki.geometry.mesh import Mesh
 from nishiki.model_selection.decision import Decision, decide_object_gloss, economy, unseen_gain
 from nishiki.observations.views import Views
 from nishiki.stages.brdf import OBJECT_OUTPUTS
 from nishiki.threads import threads
+
+SAMPLE, FEW = 12000, 4000  # texels that normals are found from, and light and gloss
 
 
 def run(context: Context) -> dict:
@@ -29,7 +33,8 @@ def run(context: Context) -> dict:
     read = reader(texels, separated, settings.hold_out)
     lighting, cameras, light_of = lamps(texels, views, settings.lighting)
     numbers = list(range(texels.tiles))
-    sample = sample_texels(read, numbers)
+    every = sample_texels(read, numbers, SAMPLE)
+    sample = every.thin(FEW)
     lighting, settled = settle(
         lighting, sample, cameras, light_of, falloff=settings.falloff, encoding=texels.encoding,
         beside=settings.lighting == "auto",
@@ -39,6 +44,12 @@ def run(context: Context) -> dict:
         [lighting.lamp(camera, int(light)) for camera, light in zip(cameras, light_of, strict=True)],
         texels.encoding,
     )
+    mesh = Mesh.load(context.inputs["mesh"].path("mesh.npz"))
+    context.progress.tell("normals")
+    mesh, turned = refine_normals(mesh, every, texels.triangles.ravel()[every.texels], capture.centres, capture.lamps)
+    mesh.save(context.output.path("mesh.npz"))
+    texels.turn_normals(mesh)
+    sample = sample_texels(read, numbers, FEW)
     shape = texels.tiles, texels.size, texels.size, texels.channels
     out = ParameterWriter(context.output.folder, OBJECT_OUTPUTS, shape, stamp=context.stamp)
     context.progress.tell(f"{texels.tiles} tiles, {len(cameras)} observations")
@@ -50,7 +61,7 @@ def run(context: Context) -> dict:
         fit = fit_lambert(read, numbers, capture, out.write, threads=threads())
     used = settings.components if separated else "total"
     report = {"lighting": lighting.as_dict(), "found": settled, "fit": asdict(fit), "components": used}
-    report["specular"] = specular
+    report |= {"specular": specular, "normals": turned}
     at_bounds = []
     if specular and fit.at_bound_share:
         share = f"{100 * fit.at_bound_share:.2g} %"
@@ -63,6 +74,7 @@ def run(context: Context) -> dict:
         **asdict(fit),
         "at_bounds": at_bounds,
         "components": used,
+        "normals": turned,
         "economy": economy(decision),
     }
 

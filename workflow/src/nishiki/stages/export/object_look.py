@@ -134,7 +134,9 @@ def object_look(context: Context) -> ObjectLook:
     """Compute textures from the decoded parameters."""
     decoded = DecodedObject.open(context.inputs)
     layout = texture_atlas(decoded.atlas)
-    albedo, alpha, reflectance = textures(decoded, Texels(context.inputs["texels"].folder), layout)
+    texels = Texels(context.inputs["texels"].folder)
+    texels.turn_normals(decoded.mesh)
+    albedo, alpha, reflectance = textures(decoded, texels, layout)
     scale = max(float(np.percentile(albedo.max(axis=-1), 99.5)), 1.0)
     albedo, reflectance = albedo / scale, reflectance / scale
     factor = max(float(np.percentile(reflectance, 99.5)) / NORMAL_REFLECTANCE, 1.0)

@@ -60,11 +60,12 @@ def run(context: Context) -> dict:
     """Refine the parameters, find the step for the target, store the pass that meets it."""
     settings = context.settings
     inputs, texels = context.inputs, Texels(context.inputs["texels"].folder)
-    mesh, cameras = Mesh.load(inputs["mesh"].path("mesh.npz")), load_cameras(inputs["cameras"].path("cameras.json"))
-    fitted = json.loads(inputs["object_brdf"].path("object_brdf.json").read_text())
+    cameras, reflection = load_cameras(inputs["cameras"].path("cameras.json")), inputs["object_brdf"]
+    mesh, fitted = Mesh.load(reflection.path("mesh.npz")), json.loads(reflection.path("object_brdf.json").read_text())
+    texels.turn_normals(mesh)
     # what a renderer needs beside the residual
     others = cost_of(mesh, texels.atlas.chart, cameras, fitted["lighting"], {}).parts
-    source = ArtifactSource(texels, ParameterMaps(inputs["object_brdf"].folder), settings)
+    source = ArtifactSource(texels, ParameterMaps(reflection.folder), settings)
     lamps = CaptureLamps.from_dict(fitted["lighting"])
     pairs = [(camera, light) for light in range(len(texels.lights)) for camera in texels.cameras]
     scene = CodedScene(np.array([camera.centre for camera, _ in pairs]), [lamps.lamp(*pair) for pair in pairs])

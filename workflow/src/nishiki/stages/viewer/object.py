@@ -55,6 +55,7 @@ def write_object(decoded: DecodedObject, blocks: Blocks, about: dict, *, without
     }
 
 
+NORMAL_STEPS = 32767  # of a normal's coordinate from 0 to 1
 CHART_STEPS = 256  # steps of a texel: places on the charts are rounded to these
 PART_BYTES = 256 << 10  # of the streams of several tiles that are loaded together
 
@@ -80,6 +81,7 @@ def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
         "radius": radius,
         "lift": shadow_lift(decoded.mesh),
         "chart_steps": CHART_STEPS,
+        "normal_steps": NORMAL_STEPS,
         "mesh_step": mesh_step(decoded.mesh, list(decoded.cameras)),
         "design": design.as_dict(),
         "pictures": decoded.residual.pictures and decoded.residual.pictures.design.as_dict(),
@@ -120,6 +122,7 @@ def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
     return {
         "lowest": lowest.astype(np.int32),
         "vertices": smallest(grid - lowest),
+        "normals": np.rint(mesh.normals * NORMAL_STEPS).astype(np.int16),
         "point_chart": points[:, 0].astype(np.int16),
         "point_vertex": smallest(points[:, 1]),
         "point_place": points[:, 2:].astype(np.int32),

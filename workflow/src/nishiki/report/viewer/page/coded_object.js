@@ -2,7 +2,6 @@
 // (nishiki.codec.store, read tile by tile).
 
 import { decodeBlock } from "viewer/codec";
-import { cross, norm, scale, subtract } from "viewer/matrices";
 import { PlaneSynthesis } from "viewer/wavelet";
 
 const WIDTH_FLOOR = 1e-3, WIDTH_CEILING = 1e3;
@@ -171,24 +170,8 @@ export function surfaceOf(manifest, arrays) {
   for (let n = 0; n < grid.length; n++) vertices[n] = (grid[n] + lowest[n % 3]) * manifest.mesh_step;
   const vertexOf = arrays.point_vertex.values, corners = arrays.corners.values;
   const place = Float32Array.from(arrays.point_place.values, (v) => v / manifest.chart_steps);
-  const normals = vertexNormals(vertices, corners, vertexOf);
+  const normals = Float32Array.from(arrays.normals.values, (v) => v / manifest.normal_steps);
   return { vertices, normals, vertexOf, corners, place, chartOf: arrays.point_chart.values };
-}
-
-function vertexNormals(vertices, corners, vertexOf) {
-  const sums = new Float64Array(vertices.length);
-  const point = (v) => [vertices[3 * v], vertices[3 * v + 1], vertices[3 * v + 2]];
-  for (let n = 0; n < corners.length; n += 3) {
-    const [a, b, c] = [0, 1, 2].map((k) => vertexOf[corners[n + k]]);
-    const face = cross(subtract(point(b), point(a)), subtract(point(c), point(a)));
-    for (const v of [a, b, c]) for (let k = 0; k < 3; k++) sums[3 * v + k] += face[k];
-  }
-  const normals = new Float32Array(vertices.length);
-  for (let n = 0; n < sums.length; n += 3) {
-    const sum = [sums[n], sums[n + 1], sums[n + 2]], length = norm(sum);
-    normals.set(length > 0 ? scale(sum, 1 / length) : [0, 0, 1], n);
-  }
-  return normals;
 }
 
 /** Normals of a mesh, the mean of those around: a step takes the mean over the corners of the triangles at each vertex, whose

@@ -1,0 +1,298 @@
+"""Find a lamp beside the camera, and the normals of a mesh, by the shading and the gloss of an object that turns.
+
+    I = K_d D(cos(theta_i)) + sum_k G_k exp(-alpha^2 / (2 s_k^2)) / cos(theta_r)
+
+K_d of each texel; for the whole object one curve D, near Lambert's line, and one sum of Gaussian lobes.  Between two
+rims that it sees a visual hull is flat, so that its normals are off by more than its places.  Each texel's observations
+ask for a turn of its normal (Gauss-Newton, K_d eliminated: R. J. Woodham, Photometric method for determining surface
+orientation from multiple images, Optical Engineering 19, 1980, with a lobe); the normals of the vertices, from which
+those of the texels are interpolated, follow by sparse least squares in which neighbours turn alike.  Places stay.
+
+Curve and lobes are those at the normals of the mesh, which are off to all sides: with Lambert's line in place of D, or
+with a curve that follows the turned normals, all normals of a rough matt body turn along the axis by some 15 degrees.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.sparse as sparse
+from scipy.optimize import nnls
+from scipy.sparse.linalg import spsolve
+
+from nishiki.brdf.slopes import GRAZING
+from nishiki.brdf.texels.model import ENVIRONMENT, POINT, CaptureLamps, ViewLamp
+from nishiki.brdf.texels.texel_fit import Sample
+from nishiki.geometry.camera import Camera
+from nishiki.geometry.mesh import Mesh, measure_tilts, tangents, tilt_normals
+
+LOBES = np.array([0.08, 0.14, 0.22, 0.35])  # radians: s_k
+CURVE = np.linspace(0, 1, 11)  # cos(theta_i) between which D is linear
+BENT, PULL = 0.05, 1e-4  # of the information: how much D's bends and its distance from Lambert's line count
+LAMBERT = 1e4  # a pull that leaves Lambert's line: a free curve takes light from all around for that of any lamp
+STEEP = 0.25  # cos(theta_r) below which an observation counts less and less
+DARK = 0.5  # of the median value, added to a value for its scale: shadows and noise do not count without bound
+ROUNDS = 8  # of K_d, lobes and robust weights in turn
+OUTLIER = 3.0  # robust standard deviations from which an observation counts a quarter
+NOISE = 0.04  # of the scale: deviation of an observation, what the model lacks and neighbours share included, at least
+ROUGHNESS = np.radians(20)  # deviation of the turns of neighbouring vertices
+TURNS = 4  # of the normals
+LARGEST_TURN = 0.15  # radians, of one round
+FIRST_STEP, LAST_STEP = 0.04, 0.003  # of the search for the lamp's place, in distances of the camera
+MOST_BESIDE = 0.5  # distances of the camera; light from all around draws the search farther than any lamp beside it
+LEAST_BESIDE_GAIN = 0.1  # of the residual that a lamp beside the camera has to take off
+WORST = 0.15  # of the scale: larger residuals, of shadows, count as this one
+FEWEST = 20  # texels
+
+
+@dataclass(frozen=True)
+class ShadedTexels:
+    """Observations (n,) of texels under known lamps: number of the texel, value (mean of the channels), view.
+
+    towards, facing, half (n, 3): unit directions to lamp and camera, and their bisector; strength (n,): fall-off.
+    """
+
+    texel: np.ndarray
+    values: np.ndarray
+    view: np.ndarray
+    towards: np.ndarray
+    facing: np.ndarray
+    half: np.ndarray
+    strength: np.ndarray
+    scale: np.ndarray
+
+    @classmethod
+    def of(cls, sample: Sample, centres: np.ndarray, lamps: list[ViewLamp]) -> "ShadedTexels":
+        """Gather what is visible and finite; centres (M, 3), lamps: of point or distant form, one an observation."""
+        mean = sample.values.mean(axis=-1)
+        texel, view = np.nonzero(sample.visible & np.isfinite(mean))
+        values, places = mean[texel, view].astype(float), sample.positions[texel].astype(float)
+        towards = np.array([lamp.vector for lamp in lamps], float)[view]
+        near = np.array([lamp.form == POINT for lamp in lamps])[view]
+        towards = np.where(near[:, None], towards - places, towards)
+        distance = np.linalg.norm(towards, axis=1)
+        reference = np.array([lamp.reference for lamp in lamps])[view]
+        strength = np.where(near & (reference > 0), (reference / distance) ** 2, 1.0)
+        towards, facing = towards / distance[:, None], _unit(np.asarray(centres, float)[view] - places)
+        level = float(np.median(values)) if values.size else 1.0
+        scale = np.maximum(values, 0) + DARK * max(level, 1e-30)
+        return cls(texel, values, view, towards, facing, _unit(towards + facing), strength, scale)
+
+    def keep(self, chosen: np.ndarray) -> "ShadedTexels":
+        """Return some of the observations."""
+        return ShadedTexels(*(values[chosen] for values in vars(self).values()))
+
+    def angles(self, normals: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Compute cos(theta_i) (n,), fall-off where lit (n,), lobes (n, lobes), weights (n,) and alpha (n,)."""
+        normal = normals[self.texel]
+        cos_i, cos_r = _dot(normal, self.towards), _dot(normal, self.facing)
+        alpha = np.arccos(np.clip(_dot(normal, self.half), -1, 1))
+        lit = self.strength * ((cos_i > 0) & (cos_r > 0))
+        lobes = np.exp(-((alpha[:, None] / LOBES) ** 2) / 2) * (lit / np.maximum(cos_r, GRAZING))[:, None]
+        return np.clip(cos_i, 0, 1), lit, lobes, np.clip(cos_r / STEEP, 0, 1) * (lit > 0), alpha
+
+
+@dataclass(frozen=True)
+class Shading:
+    """An object's common reflection: D (knots,) at CURVE, 1 at the end, and gloss (lobes,) G."""
+
+    curve: np.ndarray = field(default_factory=CURVE.copy)
+    gloss: np.ndarray = field(default_factory=lambda: np.zeros(len(LOBES)))
+
+    def slope(self, cosine: np.ndarray) -> np.ndarray:
+        """Compute the derivative of D."""
+        steps = np.diff(self.curve) / np.diff(CURVE)
+        return steps[np.clip((cosine * len(steps)).astype(int), 0, len(steps) - 1)]
+
+
+@dataclass(frozen=True)
+class ShadingFit:
+    """kd (texels,) under a shading; deviation (n,) in scales, weights (n,), their robust standard deviation."""
+
+    shading: Shading
+    kd: np.ndarray
+    deviation: np.ndarray
+    weights: np.ndarray
+    spread: float
+
+
+def fit_shading(
+    seen: ShadedTexels, normals: np.ndarray, shading: Shading | None = None, *, pull: float = PULL
+) -> ShadingFit:
+    """Fit K_d of each texel at texels' normals (texels, 3), robustly; curve and lobes too where none are given."""
+    cosine, lit, lobes, weights, _ = seen.angles(normals)
+    robust, counted, held = np.ones_like(lit), weights > 0, shading is not None
+    shading, near = shading or Shading(), np.maximum(1 - np.abs(cosine[:, None] - CURVE) / CURVE[1], 0)
+    bends = np.zeros((len(CURVE) - 2, len(CURVE) + len(LOBES)))
+    for knot in range(len(bends)):
+        bends[knot, knot : knot + 3] = 1, -2, 1
+    pulls = np.repeat([pull, PULL], [len(CURVE), len(LOBES)])
+    for _ in range(ROUNDS):
+        diffuse, trust = (near @ shading.curve) * lit, weights * robust
+        kd = _fit_colours(seen, diffuse, lobes @ shading.gloss, trust, len(normals))
+        if not held:
+            columns = np.concatenate([near * (kd[seen.texel] * lit)[:, None], lobes], axis=1) / seen.scale[:, None]
+            normal, right = columns.T @ (columns * trust[:, None]), columns.T @ (trust * seen.values / seen.scale)
+            level = (np.trace(normal) + 1e-30) / len(normal)
+            normal += level * (BENT * bends.T @ bends + np.diag(pulls))
+            right += level * pulls * np.concatenate([CURVE, np.zeros(len(LOBES))])
+            factor = np.linalg.cholesky(normal)
+            found = nnls(factor.T, np.linalg.solve(factor, right))[0]
+            top = max(found[len(CURVE) - 1], 1e-30)
+            shading, kd = Shading(found[: len(CURVE)] / top, found[len(CURVE) :]), kd * top
+            diffuse = (near @ shading.curve) * lit
+        deviation = (seen.values - kd[seen.texel] * diffuse - lobes @ shading.gloss) / seen.scale
+        spread = 1.4826 * float(np.median(np.abs(deviation[counted]))) if counted.any() else 0.0
+        robust = 1 / (1 + (deviation / max(OUTLIER * spread, 1e-30)) ** 2) ** 2
+    return ShadingFit(shading, kd, deviation, weights * robust, spread)
+
+
+def find_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, *, falloff: bool) -> tuple[float, float, float]:
+    """Find the place (x, y, 0) of a lamp beside the camera, in the lamp frame and the world's unit.
+
+    cameras: of the light's observations `of`.  A pattern search for the place with the smallest residual.  Shading
+    tells how far the lamp stands to the side, along the turn; how high it stands only highlights tell.  0 0 0 where no
+    place takes LEAST_BESIDE_GAIN off the residual of a lamp at the camera, or the best one lies beyond MOST_BESIDE.
+    """
+    nowhere = (0.0, 0.0, 0.0)
+    sample = replace(sample, values=sample.values[:, of], visible=sample.visible[:, of])
+    if len(sample.positions) < FEWEST or not np.any(sample.visible[..., None] * np.nan_to_num(sample.values)):
+        return nowhere
+    centres, middle = np.array([camera.centre for camera in cameras]), sample.positions.mean(axis=0)
+    distance = float(np.linalg.norm(cameras[0].centre - middle))
+
+    def residual(place: np.ndarray) -> float:
+        lighting = CaptureLamps("position", ((*place.tolist(), 0.0),), reference=distance if falloff else 0.0)
+        seen = ShadedTexels.of(sample, centres, [lighting.lamp(camera) for camera in cameras])
+        fit = fit_shading(seen, sample.normals, pull=LAMBERT)
+        return float(np.average(np.minimum(np.abs(fit.deviation), WORST), weights=seen.angles(sample.normals)[3]))
+
+    place, step = np.zeros(2), FIRST_STEP * distance
+    first = best = residual(place)
+    while step > LAST_STEP * distance and np.hypot(*place) <= MOST_BESIDE * distance:
+        for move in step * np.array([(1, 0), (-1, 0), (0, 1), (0, -1)]):
+            if (tried := residual(place + move)) < best:
+                best, place = tried, place + move
+                break
+        else:
+            step /= 2
+    x, y = place.tolist()
+    beside = np.hypot(x, y) <= MOST_BESIDE * distance and best < (1 - LEAST_BESIDE_GAIN) * first
+    return (x, y, 0.0) if beside else nowhere
+
+
+def refine_normals(
+    mesh: Mesh, sample: Sample, triangles: np.ndarray, centres: np.ndarray, lamps: list[ViewLamp]
+) -> tuple[Mesh, dict]:
+    """Turn the normals of a mesh to what its photographs show, where that predicts hidden views better.
+
+    triangles (n,): of the sample's texels.  Of three views in a row the middle one is hidden in the trial.  Returns the
+    mesh with its normals and figures: the deviation of hidden views before and after, in shares of their values, and
+    the median turn in degrees.  Fitted irradiance tells too little of normals: they stay.
+    """
+    if any(lamp.form == ENVIRONMENT for lamp in lamps) or len(sample.positions) < FEWEST:
+        return mesh, {"refined": False}
+    seen, mixing = ShadedTexels.of(sample, centres, lamps), _interpolation(mesh, sample.positions, triangles)
+    captured, first = np.unique(seen.view), mesh.normals.astype(float)
+    hidden = np.isin(seen.view, captured[1::3])
+    trial = _turn(mesh, seen.keep(~hidden), mixing)
+    before, after = (
+        _predict_hidden(seen.keep(~hidden), seen.keep(hidden), _unit(mixing @ normals)) for normals in (first, trial)
+    )
+    figures = {"refined": bool(after < before), "hidden_before": before, "hidden_after": after}
+    if not figures["refined"]:
+        return mesh, figures
+    turned = replace(mesh, normals=_turn(mesh, seen, mixing).astype(np.float32))
+    made = tilt_normals(mesh.vertices, mesh.triangles, measure_tilts(turned))
+    cosine = np.clip(_dot(made.normals.astype(float), first), -1, 1)
+    return made, {**figures, "median_turn_deg": float(np.degrees(np.median(np.arccos(cosine))))}
+
+
+def _predict_hidden(seen: ShadedTexels, hidden: ShadedTexels, normals: np.ndarray) -> float:
+    """Compute the mean deviation, in scales, of hidden observations from the model of the others."""
+    fit = fit_shading(seen, normals)
+    cosine, lit, lobes, weights, _ = hidden.angles(normals)
+    weights *= np.isin(hidden.texel, seen.texel)
+    diffuse = fit.kd[hidden.texel] * np.interp(cosine, CURVE, fit.shading.curve) * lit
+    off = np.abs(hidden.values - diffuse - lobes @ fit.shading.gloss) / hidden.scale
+    return float(np.average(np.minimum(off, WORST), weights=weights)) if weights.any() else 0.0
+
+
+def _turn(mesh: Mesh, seen: ShadedTexels, mixing: sparse.csr_matrix) -> np.ndarray:
+    """Compute the vertices' unit normals (v, 3) by TURNS steps of Gauss-Newton; mixing (texels, v) interpolates."""
+    first = mesh.normals.astype(float)
+    normals, edges = first.copy(), np.unique(np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0)
+    count = len(normals)
+    ends = sparse.csr_matrix((np.ones(len(edges)), (np.arange(len(edges)), edges[:, 0])), (len(edges), count))
+    ends -= sparse.csr_matrix((np.ones(len(edges)), (np.arange(len(edges)), edges[:, 1])), (len(edges), count))
+    differences, spread_out = (sparse.kron(matrix, sparse.eye(3), "csr") for matrix in (ends, mixing))
+    shading = fit_shading(seen, _unit(mixing @ normals)).shading
+    for _ in range(TURNS):
+        at_texels = _unit(mixing @ normals)
+        information, pull = _ask(seen, at_texels, shading)
+        plane = sparse.bsr_matrix((tangents(normals).swapaxes(1, 2), np.arange(count), np.arange(count + 1)))
+        across = sparse.bsr_matrix((tangents(at_texels), np.arange(len(at_texels)), np.arange(len(at_texels) + 1)))
+        to_texels, rough = (across @ spread_out @ plane).tocsr(), (differences @ plane).tocsr() / ROUGHNESS
+        weights = sparse.bsr_matrix((information, np.arange(len(information)), np.arange(len(information) + 1)))
+        system = to_texels.T @ weights @ to_texels + rough.T @ rough + 1e-3 * sparse.eye(2 * count)
+        right = to_texels.T @ pull.ravel() - rough.T @ (differences @ (normals - first).ravel()) / ROUGHNESS
+        turns = spsolve(sparse.csc_matrix(system), right).reshape(count, 2)
+        turns *= np.minimum(1, LARGEST_TURN / np.maximum(np.linalg.norm(turns, axis=1), 1e-30))[:, None]
+        normals = _unit(normals + np.einsum("vk,vki->vi", turns, tangents(normals)))
+    return normals
+
+
+def _ask(seen: ShadedTexels, normals: np.ndarray, shading: Shading) -> tuple[np.ndarray, np.ndarray]:
+    """Compute what each texel's observations ask of its normal: information (texels, 2, 2) and pull (texels, 2)."""
+    fit, count = fit_shading(seen, normals, shading), len(normals)
+    cosine, lit, lobes, _, alpha = seen.angles(normals)
+    plane = tangents(normals)[seen.texel]
+    to_lamp, to_camera, to_half = (
+        np.einsum("nki,ni->nk", plane, each) for each in (seen.towards, seen.facing, seen.half)
+    )
+    cos_r = np.maximum(_dot(normals[seen.texel], seen.facing), GRAZING)
+    slope = np.where(alpha > 1e-6, alpha / np.maximum(np.sin(alpha), 1e-6), 1)
+    bend = (fit.kd[seen.texel] * shading.slope(cosine) * lit)[:, None] * to_lamp
+    bend += (lobes @ (shading.gloss / LOBES**2) * slope)[:, None] * to_half
+    bend -= (lobes @ shading.gloss / cos_r)[:, None] * to_camera
+    bend, own = bend / seen.scale[:, None], np.interp(cosine, CURVE, shading.curve) * lit / seen.scale
+    weights = fit.weights / max(fit.spread, NOISE) ** 2
+
+    def total(values: np.ndarray) -> np.ndarray:
+        return np.bincount(seen.texel, weights * values, count)
+
+    square = total(own**2)
+    share = np.where(square > 0, 1 / np.where(square > 0, square, 1), 0)
+    along, rest = np.stack([total(own * bend[:, k]) for k in range(2)], axis=1), total(own * fit.deviation)
+    products = [[total(bend[:, j] * bend[:, k]) for k in range(2)] for j in range(2)]
+    information = np.moveaxis(np.array(products), -1, 0) - along[:, :, None] * along[:, None] * share[:, None, None]
+    pull = np.stack([total(bend[:, k] * fit.deviation) for k in range(2)], axis=1) - along * (rest * share)[:, None]
+    return information, pull
+
+
+def _fit_colours(seen: ShadedTexels, lit: np.ndarray, gloss: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
+    """Compute K_d (count,) of each texel by weighted least squares; 0 where nothing is lit."""
+    above = np.bincount(seen.texel, weights * lit * (seen.values - gloss), count)
+    below = np.bincount(seen.texel, weights * lit**2, count)
+    return np.maximum(above / np.where(below > 0, below, np.inf), 0)
+
+
+def _interpolation(mesh: Mesh, positions: np.ndarray, triangles: np.ndarray) -> sparse.csr_matrix:
+    """Compute the shares (n, v) of the vertices at points near their triangles (n,)."""
+    corners = mesh.triangles[triangles]
+    a, b, c = (mesh.vertices[corners[:, k]] for k in range(3))
+    u, v, point = b - a, c - a, positions - a
+    uu, uv, vv, up, vp = _dot(u, u), _dot(u, v), _dot(v, v), _dot(u, point), _dot(v, point)
+    scale = 1 / np.maximum(uu * vv - uv**2, 1e-300)
+    second, third = (up * vv - vp * uv) * scale, (vp * uu - up * uv) * scale
+    shares = np.clip(np.stack([1 - second - third, second, third], axis=1), 0, 1)
+    shares /= shares.sum(axis=1, keepdims=True)
+    rows = np.repeat(np.arange(len(positions)), 3)
+    return sparse.csr_matrix((shares.ravel(), (rows, corners.ravel())), (len(positions), len(mesh.vertices)))
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("ni,ni->n", a, b)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-300)
