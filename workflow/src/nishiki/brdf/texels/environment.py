@@ -15,8 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.brdf.slopes import GRAZING
-from nishiki.brdf.texels.model import HARMONICS, TO_LAMP_FRAME, CaptureLamps, factors
-from nishiki.brdf.texels.shading import find_lamp
+from nishiki.brdf.texels.model import HARMONICS, TO_LAMP_FRAME, CaptureLamps
+from nishiki.brdf.texels.shading import find_lamp, measure_misfit
 from nishiki.brdf.texels.texel_fit import Sample
 from nishiki.colour.colour import encoding_slope
 from nishiki.geometry.camera import Camera
@@ -239,7 +239,11 @@ def settle(
     near = replace(stated, reference=float(np.mean(np.linalg.norm(np.array(places) - centre, axis=1))))
     if falloff == "inverse_square":
         return near, {"falloff": falloff, **moved}
-    left = [_lambert_residual(lighting, sample, cameras, light_of) for lighting in (stated, near)]
+    few, centres = sample.thin(FEWER), np.array([camera.centre for camera in cameras])
+    left = [
+        measure_misfit(few, centres, [kind.lamp(*pair) for pair in zip(cameras, light_of.tolist(), strict=True)])
+        for kind in (stated, near)
+    ]
     chosen = near if left[1] < (1 - LEAST_NEAR_GAIN) * left[0] else stated
     name = "none" if chosen is stated else "inverse_square"
     residuals = {"residual_without_falloff": left[0], "residual_with_falloff": left[1]}
@@ -270,17 +274,3 @@ def _fit_irradiance(
             {"explained": fit.explained, "rounds": fit.rounds, "texels": fit.texels, "highlight_gain": lobe.gain}
         )
     return CaptureLamps("environment", tuple(vectors), tuple(harmonics)), {"environment": reports}
-
-
-def _lambert_residual(lighting: CaptureLamps, sample: Sample, cameras: list[Camera], light_of: np.ndarray) -> float:
-    """Compute the sample's median deviation from the Lambert term alone, relative to the texels' level."""
-    lit, weights = (np.zeros(sample.visible.shape) for _ in range(2))
-    for o, camera in enumerate(cameras):
-        lamp = lighting.lamp(camera, int(light_of[o]))
-        q, angles = factors(sample.positions, sample.normals, camera.centre, lamp, 1)
-        lit[:, o], weights[:, o] = q[:, 0], sample.visible[:, o] * np.maximum(angles[:, 1], 0)
-    values = sample.values.mean(axis=-1)
-    below = np.sum(weights * lit**2, axis=1)
-    kd = np.sum(weights * lit * values, axis=1) / np.where(below > 0, below, 1)
-    off = np.abs(values - kd[:, None] * lit) / np.maximum(kd, 1e-30)[:, None]
-    return float(np.median(off[weights > 0])) if np.any(weights > 0) else 0.0

@@ -146,6 +146,13 @@ def fit_shading(
     return ShadingFit(shading, kd, deviation, weights * robust, spread)
 
 
+def measure_misfit(sample: Sample, centres: np.ndarray, lamps: list[ViewLamp]) -> float:
+    """Measure the mean deviation, in scales, from Lambert's law and common lobes at the sample's normals."""
+    seen = ShadedTexels.of(sample, centres, lamps)
+    fit, weights = fit_shading(seen, sample.normals, pull=LAMBERT), seen.angles(sample.normals)[3]
+    return float(np.average(np.minimum(np.abs(fit.deviation), WORST), weights=weights)) if weights.any() else 0.0
+
+
 def find_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, *, falloff: bool) -> tuple[float, float, float]:
     """Find the place (x, y, 0) of a lamp beside the camera, in the lamp frame and the world's unit.
 
@@ -162,9 +169,7 @@ def find_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, *, falloff:
 
     def residual(place: np.ndarray) -> float:
         lighting = CaptureLamps("position", ((*place.tolist(), 0.0),), reference=distance if falloff else 0.0)
-        seen = ShadedTexels.of(sample, centres, [lighting.lamp(camera) for camera in cameras])
-        fit = fit_shading(seen, sample.normals, pull=LAMBERT)
-        return float(np.average(np.minimum(np.abs(fit.deviation), WORST), weights=seen.angles(sample.normals)[3]))
+        return measure_misfit(sample, centres, [lighting.lamp(camera) for camera in cameras])
 
     place, step = np.zeros(2), FIRST_STEP * distance
     first = best = residual(place)
