@@ -9,6 +9,7 @@ from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.brdf.texels.shading import CURVE, ShadedTexels, _ask, fit_shading, refine_normals
 from nishiki.brdf.texels.texel_fit import Sample
 from nishiki.geometry.mesh import Mesh, tangents
+from nishiki.model_selection.decision import decide_normals
 
 PLACE = (0.3, 0.35, 0.0)
 
@@ -52,9 +53,9 @@ def errors(mesh):
 @pytest.mark.parametrize("gloss", [True, False])
 def test_normals_are_found_by_shading(gloss):
     wrong, *seen = photographed(gloss=gloss)
-    found, figures = refine_normals(wrong, *seen)
-    assert figures["refined"]
-    assert figures["hidden_after"] < 0.8 * figures["hidden_before"]
+    found, hidden = refine_normals(wrong, *seen)
+    assert hidden[1] < 0.8 * hidden[0]
+    assert decide_normals(hidden)[0]
     assert np.median(errors(wrong)) > 2
     assert np.median(errors(found)) < 0.45 * np.median(errors(wrong))
     np.testing.assert_array_equal(found.vertices, wrong.vertices)
@@ -62,14 +63,16 @@ def test_normals_are_found_by_shading(gloss):
 
 def test_true_normals_stay_near():
     wrong, *seen = photographed(off=0.0)
-    assert np.quantile(errors(refine_normals(wrong, *seen)[0]), 0.9) < 3
+    found, hidden = refine_normals(wrong, *seen)
+    assert np.quantile(errors(found), 0.9) < 3
+    assert not decide_normals(hidden)[0]
 
 
 def test_normals_stay_without_a_lamp_or_texels():
     wrong, sample, triangles, centres, lamps = photographed(count=400)
     around = CaptureLamps("environment", ((0.0, 0.0, 0.0),), (((1.0,),) * 9,))
     of_light = [around.lamp(camera) for camera in ring()]
-    assert refine_normals(wrong, sample, triangles, centres, of_light) == (wrong, {"refined": False})
+    assert refine_normals(wrong, sample, triangles, centres, of_light) == (wrong, None)
     few = Sample(*(values[:5] for values in vars(sample).values()))
     assert refine_normals(wrong, few, triangles[:5], centres, lamps)[0] is wrong
 

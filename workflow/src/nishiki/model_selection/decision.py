@@ -134,6 +134,24 @@ def _fit_strengths(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, we
     return diffuse[..., None] * kd[:, None] + lobe[..., None] * ks[:, None]
 
 
+LEAST_TURNED = 0.98  # a smaller gain is not told from chance
+
+
+def decide_normals(measured: tuple[float, float] | None) -> tuple[bool, Decision]:
+    """Decide whether an object's normals follow its shading; measured: of `refine_normals`, None where none is."""
+    override = "object_brdf.normals: mesh"
+    if measured is None:
+        return False, Decision(
+            "normals", "those of the mesh", "set or fitted light", None, None, "not measured", override
+        )
+    before, after = measured
+    turned, share = after < LEAST_TURNED * before, after / before if before else 1.0
+    words = "turned by shading" if turned else "those of the mesh"
+    loss = "nothing" if turned else f"{100 * max(1 - share, 0):.2g} % of the deviation of hidden views"
+    criterion = "deviation of hidden views with turned normals, over that with those of the mesh"
+    return turned, Decision("normals", words, criterion, share, LEAST_TURNED, loss, override)
+
+
 def decide_object_gloss(gain: Gain | None, setting: str) -> Decision:
     """Decide whether an object shows gloss; gain: None where the setting decides."""
     if gain is None:

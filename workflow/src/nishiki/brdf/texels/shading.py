@@ -187,29 +187,21 @@ def find_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, *, falloff:
 
 def refine_normals(
     mesh: Mesh, sample: Sample, triangles: np.ndarray, centres: np.ndarray, lamps: list[ViewLamp]
-) -> tuple[Mesh, dict]:
-    """Turn the normals of a mesh to what its photographs show, where that predicts hidden views better.
+) -> tuple[Mesh, tuple[float, float] | None]:
+    """Turn the normals of a mesh to what its photographs show.
 
-    triangles (n,): of the sample's texels.  Of three views in a row the middle one is hidden in the trial.  Returns the
-    mesh with its normals and figures: the deviation of hidden views before and after, in shares of their values, and
-    the median turn in degrees.  Fitted irradiance tells too little of normals: they stay.
+    triangles (n,): of the sample's texels.  Second, how far hidden views deviate, in shares of their values, with the
+    mesh's normals and with turned ones: in this trial the middle one of three views in a row is hidden.  None, and the
+    mesh as it is, where the light is a fitted irradiance, which tells too little, or few texels are seen.
     """
     if any(lamp.form == ENVIRONMENT for lamp in lamps) or len(sample.positions) < FEWEST:
-        return mesh, {"refined": False}
+        return mesh, None
     seen, mixing = ShadedTexels.of(sample, centres, lamps), _interpolation(mesh, sample.positions, triangles)
-    captured, first = np.unique(seen.view), mesh.normals.astype(float)
-    hidden = np.isin(seen.view, captured[1::3])
-    trial = _turn(mesh, seen.keep(~hidden), mixing)
-    before, after = (
-        _predict_hidden(seen.keep(~hidden), seen.keep(hidden), _unit(mixing @ normals)) for normals in (first, trial)
-    )
-    figures = {"refined": bool(after < before), "hidden_before": before, "hidden_after": after}
-    if not figures["refined"]:
-        return mesh, figures
+    hidden = np.isin(seen.view, np.unique(seen.view)[1::3])
+    tried = mesh.normals.astype(float), _turn(mesh, seen.keep(~hidden), mixing)
+    before, after = (_predict_hidden(seen.keep(~hidden), seen.keep(hidden), _unit(mixing @ each)) for each in tried)
     turned = replace(mesh, normals=_turn(mesh, seen, mixing).astype(np.float32))
-    made = tilt_normals(mesh.vertices, mesh.triangles, measure_tilts(turned))
-    cosine = np.clip(_dot(made.normals.astype(float), first), -1, 1)
-    return made, {**figures, "median_turn_deg": float(np.degrees(np.median(np.arccos(cosine))))}
+    return tilt_normals(mesh.vertices, mesh.triangles, measure_tilts(turned)), (before, after)
 
 
 def _predict_hidden(seen: ShadedTexels, hidden: ShadedTexels, normals: np.ndarray) -> float:

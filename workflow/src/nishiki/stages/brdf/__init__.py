@@ -83,6 +83,9 @@ class ObjectBrdfSettings(Guarded, stage="object_brdf", version=7, limits=OBJECT_
     falloff: Literal["auto", "none", "inverse_square"] = Field(
         "auto", description="of a lamp at a place, over the depth of the object; auto: whichever fits better"
     )
+    normals: Literal["auto", "mesh"] = Field(
+        "auto", description="auto: turned to what the shading shows where that predicts hidden views; mesh: its own"
+    )
     hold_out: tuple[str, ...] = Field((), description="views left out of the fit; filled in by the plan")
 
 

@@ -17,7 +17,7 @@ from nishiki.brdf.texels.texel_fit import CaptureViews, Sample, Tile, sample_tex
 from nishiki.colour.colour import encoding_slope
 from nishiki.errors import UserError
 from nishiki.geometry.mesh import Mesh
-from nishiki.model_selection.decision import Decision, decide_object_gloss, economy, unseen_gain
+from nishiki.model_selection.decision import Decision, decide_normals, decide_object_gloss, economy, unseen_gain
 from nishiki.observations.views import Views
 from nishiki.stages.brdf import OBJECT_OUTPUTS
 from nishiki.threads import threads
@@ -44,12 +44,17 @@ def run(context: Context) -> dict:
         [lighting.lamp(camera, int(light)) for camera, light in zip(cameras, light_of, strict=True)],
         texels.encoding,
     )
-    mesh = Mesh.load(context.inputs["mesh"].path("mesh.npz"))
-    context.progress.tell("normals")
-    mesh, turned = refine_normals(mesh, every, texels.triangles.ravel()[every.texels], capture.centres, capture.lamps)
+    mesh, hidden = Mesh.load(context.inputs["mesh"].path("mesh.npz")), None
+    if settings.normals == "auto":
+        of_texels = texels.triangles.ravel()[every.texels]
+        turned, hidden = refine_normals(mesh, every, of_texels, capture.centres, capture.lamps)
+    better, normals = decide_normals(hidden)
+    context.progress.tell(str(normals))
+    if better:
+        mesh = turned
+        texels.turn_normals(mesh)
+        sample = sample_texels(read, numbers, FEW)
     mesh.save(context.output.path("mesh.npz"))
-    texels.turn_normals(mesh)
-    sample = sample_texels(read, numbers, FEW)
     shape = texels.tiles, texels.size, texels.size, texels.channels
     out = ParameterWriter(context.output.folder, OBJECT_OUTPUTS, shape, stamp=context.stamp)
     context.progress.tell(f"{texels.tiles} tiles, {len(cameras)} observations")
@@ -61,7 +66,7 @@ def run(context: Context) -> dict:
         fit = fit_lambert(read, numbers, capture, out.write, threads=threads())
     used = settings.components if separated else "total"
     report = {"lighting": lighting.as_dict(), "found": settled, "fit": asdict(fit), "components": used}
-    report |= {"specular": specular, "normals": turned}
+    report["specular"] = specular
     at_bounds = []
     if specular and fit.at_bound_share:
         share = f"{100 * fit.at_bound_share:.2g} %"
@@ -74,8 +79,7 @@ def run(context: Context) -> dict:
         **asdict(fit),
         "at_bounds": at_bounds,
         "components": used,
-        "normals": turned,
-        "economy": economy(decision),
+        "economy": economy(normals, decision),
     }
 
 
