@@ -64,6 +64,15 @@ def test_nothing_seen_gives_nothing():
     assert found.error == 0
 
 
+@pytest.mark.parametrize("share", [2e-43, 1e-38, 1e-30])
+def test_samples_of_next_to_no_weight_stay_finite(share):
+    root, block = np.float32(np.sqrt(share)), block_of(views=1)
+    operator = Operator(lambda v: v * root, lambda v: v * root, share)
+    data = np.full((1, 1, 16, 16), root, np.float32)
+    found = solve(data, operator, block, (1, 1, 1, 16, 16), threshold=0.1, iterations=60)
+    assert np.isfinite(found.coefficients).all()
+
+
 def test_keeping_the_largest_loses_the_discarded_energy():
     rng = np.random.default_rng(2)
     blocks = [block_of(), block_of(views=7)]

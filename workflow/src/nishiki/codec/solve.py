@@ -145,7 +145,7 @@ def solve(
     """
     dtype = data.dtype
     held = np.zeros(shape, dtype)
-    if not iterations or operator.norm == 0:
+    if not iterations or operator.norm < np.finfo(np.float32).tiny:  # lest a step be infinite
         left = data - operator.look(samples_of(block, held))
         return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
     ahead, momentum = held.copy(), 1.0
