@@ -12,6 +12,7 @@ from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.consistency import order_text
 from nishiki.photometric.arrangement import EXCHANGED, arrange, name_heights, turn_axes, turn_by_half
+from nishiki.photometric.curves import find_coded
 from nishiki.simulate import command as simulate
 
 RINGS = ((7, 35), (5, 60))
@@ -243,6 +244,18 @@ def test_convert_passes_on_what_photographs_say_of_each_other(tmp_path):
     source = write_folder(tmp_path / "photographs", values, directions)
     made = convert(source, tmp_path / "capture", examine=examine)
     assert [(w.kind, w.file) for w in made.warnings] == [("lamp-failed", "frames/03.png")]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", [range(6), range(1, 12, 2)])
+def test_photographs_with_another_tone_curve_are_named_in_halves(tmp_path, part):
+    directions = dome(RINGS)
+    values = photographs(directions)
+    values[list(part)] = values.max() * (np.maximum(values, 0) / values.max())[list(part)] ** (1 / 2.2)
+    source = write_folder(tmp_path / "photographs", values, directions)
+    found = [w for w in convert(source, tmp_path / "c", examine=examine).warnings if w.kind == "curves-differ"]
+    assert [(w.file, w.found[:7]) for w in found] == [(f"frames/{min(part):02d}.png", "6 of 12")]
+    assert not find_coded(photographs(directions), directions).any()
 
 
 @pytest.mark.slow

@@ -31,6 +31,7 @@ from nishiki.photometric.consistency import (
     measure_width,
     probable_strengths,
 )
+from nishiki.photometric.curves import find_coded
 
 LONGEST = 256  # pixels of a reduced photograph along its longer side: relief is coarser, texture mostly finer
 CELLS = 3  # a side, of a reduced pixel, whose codes are averaged before they are decoded: a curve is straight over them
@@ -70,6 +71,12 @@ class Judgement:
     def grey(self) -> np.ndarray:
         """(lights, rows, columns): mean of the channels, with the movement undone."""
         return self.aligned.mean(axis=3)
+
+    @cached_property
+    def coded(self) -> np.ndarray:
+        """(lights,) bool: photographs that were saved with another tone curve than the others."""
+        coded = find_coded(self.grey, self.lamps)
+        return np.zeros(len(self.lights), bool) if coded is None else coded
 
     @cached_property
     def arrangement(self) -> Arrangement | None:
@@ -308,7 +315,9 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
     if judgement is None:
         return []
     problems = movement_problems(judgement) + pair_problems(judgement, capture)
-    if judgement.arrangement is not None:
+    if judgement.coded.any():  # such photographs contradict any list of lamps
+        problems += curve_problems(judgement)
+    elif judgement.arrangement is not None:
         problems += _arrangement_problems(judgement, judgement.arrangement, capture)
     found = judgement.consistency
     if found is None or any(problem.severity == "error" for problem in problems):
@@ -316,6 +325,15 @@ def judgement_problems(judgement: Judgement | None, capture: Capture) -> list[Pr
     problems += near_problems(judgement.near, capture)
     problems += useless_problems(useless_photographs(judgement, found), judgement.names)
     return problems + ambient_problems(found, capture)
+
+
+def curve_problems(judgement: Judgement) -> list[Problem]:
+    """Warn of photographs that were saved with another tone curve than the others."""
+    names = [name for name, coded in zip(judgement.names, judgement.coded, strict=True) if coded]
+    what = "photographs were saved with another tone curve than the others: decoded, they suit these far better"
+    found = f"{len(names)} of {len(judgement.names)} ({name_some(names)})"
+    remedy = "Export all photographs in one go, with one setting, and convert them again"
+    return [warning("curves-differ", names[0], what, found=found, remedy=remedy)]
 
 
 def pair_problems(judgement: Judgement, capture: Capture) -> list[Problem]:

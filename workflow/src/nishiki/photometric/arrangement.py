@@ -107,7 +107,11 @@ def arrange(values: np.ndarray, lamps: np.ndarray) -> Arrangement | None:
     fits = [_fit_lamps(values, each) for each in (exchanged, lamps, mended)[: 2 + found.rearranged]]
     left, *misfits = (np.full(1, np.nan) if fit is None else fit[1] for fit in fits)
     gains = [np.log(misfit / left) for misfit in misfits]
-    clear = _in_errors(gains[0]) > SURE and np.nanmean(gains[0]) > CLEARLY and _in_errors(gains[-1]) > -DOUBTFUL
+    clear = (
+        measure_in_errors(gains[0]) > SURE
+        and np.nanmean(gains[0]) > CLEARLY
+        and measure_in_errors(gains[-1]) > -DOUBTFUL
+    )
     if clear and np.nanmedian(left) < WORST_LAW:
         other = _arrange_plane(values, exchanged)
         if other is not None and other.as_stated and _find_height(values, exchanged) == 1:
@@ -147,7 +151,7 @@ def _find_height(values: np.ndarray, lamps: np.ndarray) -> float:
     else:
         return 1.0
     listed = np.argmin(np.abs(np.log(FACTORS * before)))
-    if _in_errors(evenness[:, listed] - evenness[:, best]) < UNLIKELY:
+    if measure_in_errors(evenness[:, listed] - evenness[:, best]) < UNLIKELY:
         return 1.0
     unit = min((ratio**sign for ratio in UNITS for sign in (1, -1)), key=lambda ratio: abs(np.log(factor / ratio)))
     return unit if abs(np.log(factor / unit)) < UNEVEN / 2 else factor
@@ -307,7 +311,8 @@ def _find_exchange(tiles: Tiles, trial: OrderTrial) -> np.ndarray | None:
     table, order = tabulate_misfits(tiles, trial, np.eye(3)), trial.order.copy()
     own = np.einsum("jjt->jt", table)[:, None]
     alone, both = (
-        _in_errors(np.log(a / b)) for a, b in ((own, table), (own + own.swapaxes(0, 1), table + table.swapaxes(0, 1)))
+        measure_in_errors(np.log(a / b))
+        for a, b in ((own, table), (own + own.swapaxes(0, 1), table + table.swapaxes(0, 1)))
     )
     pair = np.array(np.unravel_index(np.argmax(both), both.shape))
     rivals = np.delete(np.delete(both, pair, axis=0), pair, axis=1)
@@ -335,12 +340,12 @@ def _compare(first: tuple[OrderTrial, int], other: tuple[OrderTrial, int]) -> tu
             np.nanmean(np.where(np.isfinite(t.misfit), t.misfit, 1.0)[moved], axis=0) for t, _ in (first, other)
         )
         gained = np.log(before / after)
-        sigma, left = float(_in_errors(gained)), float(np.exp(-np.mean(gained)))
+        sigma, left = float(measure_in_errors(gained)), float(np.exp(-np.mean(gained)))
     before, after = _shares(first), _shares(other)
     # normals that face away have no slopes: as bad as slopes in any direction
     nowhere = np.isnan(before) & np.isnan(after)
     before, after = (np.where(np.isfinite(e) | nowhere, e, 0.25) for e in (before, after))
-    return sigma, float(_in_errors((before - after) / (before + after))), left
+    return sigma, float(measure_in_errors((before - after) / (before + after))), left
 
 
 def _shares(one: tuple[OrderTrial, int]) -> np.ndarray:
@@ -348,7 +353,7 @@ def _shares(one: tuple[OrderTrial, int]) -> np.ndarray:
     return one[0].energies[:, one[1]] / one[0].energies[:, :TURNED].sum(axis=1)
 
 
-def _in_errors(differences: np.ndarray) -> np.ndarray:
+def measure_in_errors(differences: np.ndarray) -> np.ndarray:
     """Divide the mean by its standard error, as the normal deviate that is as rare (Wallace, 1959): tiles may be few.
 
     differences (..., tiles), NaN where unknown; 0 where nothing is known of the error.
@@ -366,7 +371,7 @@ def _beyond_doubt(first: tuple[OrderTrial, int], other: tuple[OrderTrial, int]) 
     The residual alone is believed of orders by which people err, and not of one in thousands that fits by chance.
     """
     residual, curl, left = _compare(first, other)
-    if curl > SURE and residual > -DOUBTFUL and _in_errors(0.25 - _shares(other)) > SURE:
+    if curl > SURE and residual > -DOUBTFUL and measure_in_errors(0.25 - _shares(other)) > SURE:
         return True
     moved, plain = _pattern(first[0].order, other[0].order)
     usual = plain or moved <= _few(len(first[0].order))
