@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from nishiki.lanes import LANES, choose, load, planes, root, splat, store, turn
+from nishiki.lanes import LANES, choose, load, planes, root, splat, store
 
 
 @njit(error_model="numpy")
@@ -29,21 +29,6 @@ def expected(values, marks):
     for value, chosen in zip(values, kept, strict=True):
         total += np.where(chosen, value * value - half, value / (value * value + np.float32(1.0)))
     return np.sqrt(total * total + half), kept
-
-
-@njit(error_model="numpy")
-def turned(source, place, target, other):
-    turn(source, place, target, other)
-
-
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_a_square_is_transposed_where_it_lies(kind):
-    source = np.random.default_rng(2).normal(size=(2 * LANES, LANES + 5)).astype(kind)
-    target = np.zeros((LANES + 1, 2 * LANES), kind)
-    turned(source, (3, 5), target, (1, 7))
-    expected = np.zeros_like(target)
-    expected[1:, 7 : 7 + LANES] = source[3 : 3 + LANES, 5:].T
-    np.testing.assert_array_equal(target, expected)
 
 
 def test_lanes_are_rounded_as_single_numbers_are():

@@ -188,39 +188,6 @@ def choose(typing, condition, yes, no):
     return result(condition, yes, no), build
 
 
-@intrinsic
-def turn(typing, source, place, target, other):
-    """Write LANES x LANES numbers of a matrix from (row, column) `place` on, transposed, into another from `other`."""
-    if not _readable(source, place) or (source, place) != (target, other) or source.dtype not in SINGLE.values():
-        return None
-    vector = VECTORS[{single: kind for kind, single in SINGLE.items()}[source.dtype]]
-
-    def build(context, builder, sig, args):
-        def rows(first):
-            start = _address(context, builder, sig.args[first:], args[first:], vector.element)
-            matrix = context.make_array(sig.args[first])(context, builder, args[first])
-            columns = builder.extract_value(matrix.shape, 1)
-            steps = (builder.mul(columns, context.get_constant(types.intp, row)) for row in range(LANES))
-            return [builder.bitcast(builder.gep(start, [step]), vector.as_pointer()) for step in steps]
-
-        align, lines = _bytes_of(source), rows(0)
-        lanes = [builder.load(line, align=align) for line in lines]
-        for bit in (8, 4, 2, 1):  # of the numbers of row and column, which change places
-            low = [lane if not lane & bit else LANES + lane - bit for lane in range(LANES)]
-            high = [lane + bit if not lane & bit else LANES + lane for lane in range(LANES)]
-            for row in (row for row in range(LANES) if not row & bit):
-                pair = lanes[row], lanes[row + bit]
-                lanes[row], lanes[row + bit] = (
-                    builder.shuffle_vector(*pair, ir.Constant(ir.VectorType(INDEX, LANES), mask))
-                    for mask in (low, high)
-                )
-        for line, value in zip(rows(2), lanes, strict=True):
-            builder.store(value, line, align=align)
-        return context.get_dummy_value()
-
-    return types.void(source, place, target, other), build
-
-
 def _call_llvm(name, value, arguments):
     """Call an intrinsic function of LLVM on lanes or single float64 numbers of one type."""
     vectors = {**VECTORS, types.float64: ir.DoubleType()}

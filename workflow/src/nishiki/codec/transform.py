@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from nishiki.errors import UserError
-from nishiki.lanes import LANES, load, splat, store, turn
+from nishiki.lanes import LANES, load, splat, store
 
 NEGLIGIBLE = 1e-15  # rounding of weights near 1
 
@@ -261,9 +261,11 @@ def _copy(source, target, rows, columns):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _transpose(source, target, rows, columns):
-    for i in range(0, rows, LANES):
-        for j in range(0, columns, LANES):
-            turn(source, (i, j), target, (j, i))
+    for i in range(0, rows, 8):  # of so many rows together the compiler makes vector code
+        for j in range(columns):
+            row = target[j]
+            for k in range(8):
+                row[i + k] = source[i + k, j]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

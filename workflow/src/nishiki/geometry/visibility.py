@@ -16,7 +16,7 @@ from numba import njit
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
-from nishiki.threads import over_rows, strips
+from nishiki.threads import over_rows
 
 
 @dataclass(frozen=True)
@@ -122,36 +122,18 @@ def interpolate(attributes: np.ndarray, corners: np.ndarray, triangle: np.ndarra
     """
     flat, weights, values = np.ravel(triangle), np.reshape(barycentric, (-1, 2)), np.asarray(attributes, np.float64)
     out = np.zeros((len(flat), values.shape[1]), np.float32)
-    for some in strips(len(flat), 1 << 16):  # a picture's float64 numbers would take ten times its memory
-        here = some.start + np.flatnonzero(flat[some] >= 0)
-        a, b, c = (values[corner] for corner in corners[flat[here]].T)
-        out[here] = c + weights[here, :1] * (a - c) + weights[here, 1:] * (b - c)
+    _mix_corners(np.ascontiguousarray(values), np.ascontiguousarray(corners, np.int32), flat, weights, out)
     return out.reshape(*np.shape(triangle), values.shape[1])
 
 
-def turned_away(raster: Raster, mesh: Mesh, centre: np.ndarray) -> np.ndarray:
-    """Test (rows, columns) where a surface is shown whose interpolated normal does not face a camera's centre (3,)."""
-    out = np.zeros(raster.triangle.shape, np.bool_)
-    corners = np.ascontiguousarray(mesh.triangles, np.int32)
-    vertices, normals = (np.ascontiguousarray(values, np.float64) for values in (mesh.vertices, mesh.normals))
-    _mark_turned_away(raster.triangle, raster.barycentric, corners, vertices, normals, np.asarray(centre, float), out)
-    return out
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def _mark_turned_away(triangle, barycentric, corners, vertices, normals, centre, out):
-    for i in range(triangle.shape[0]):
-        for j in range(triangle.shape[1]):
-            if triangle[i, j] < 0:
-                continue
-            a, b, c = corners[triangle[i, j], 0], corners[triangle[i, j], 1], corners[triangle[i, j], 2]
-            u, v = barycentric[i, j, 0], barycentric[i, j, 1]
-            facing = 0.0
-            for k in range(3):
-                point = vertices[c, k] + u * (vertices[a, k] - vertices[c, k]) + v * (vertices[b, k] - vertices[c, k])
-                normal = normals[c, k] + u * (normals[a, k] - normals[c, k]) + v * (normals[b, k] - normals[c, k])
-                facing += (centre[k] - point) * normal
-            out[i, j] = facing <= 0
+def _mix_corners(values, corners, triangle, weights, out):
+    for n in range(len(triangle)):
+        if triangle[n] >= 0:
+            a, b, c = corners[triangle[n], 0], corners[triangle[n], 1], corners[triangle[n], 2]
+            for k in range(values.shape[1]):
+                last = values[c, k]
+                out[n, k] = last + weights[n, 0] * (values[a, k] - last) + weights[n, 1] * (values[b, k] - last)
 
 
 GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))

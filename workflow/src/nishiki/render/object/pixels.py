@@ -56,13 +56,6 @@ def extend(values: np.ndarray, covered: np.ndarray, *, rings: int, within: np.nd
     import cv2
 
     reached = covered.copy()
-    if within is not None:
-        if not within.any():
-            return reached
-        # the box of what may be filled, with the two pixels beyond it that values are taken from
-        rows, columns = (np.flatnonzero(within.any(axis=axis)) for axis in (1, 0))
-        box = slice(max(rows[0] - 2, 0), rows[-1] + 3), slice(max(columns[0] - 2, 0), columns[-1] + 3)
-        values, whole, reached, within = values[box], reached, reached[box], within[box]
     for _ in range(rings):
         border = cv2.dilate(reached.astype(np.uint8), np.ones((3, 3), np.uint8)) > reached
         border &= True if within is None else within
@@ -83,7 +76,7 @@ def extend(values: np.ndarray, covered: np.ndarray, *, rings: int, within: np.nd
             weight += share
         values[i, j] = sums / weight
         reached |= border
-    return reached if within is None else whole
+    return reached
 
 
 KEPT = 8  # depth maps held at a time: the views around the ones being made

@@ -31,7 +31,7 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import camera_between, fit_turn, scale_camera
-from nishiki.geometry.visibility import interpolate, rasterise, turned_away
+from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.observations.views import Views, largest_value
 from nishiki.render.display import develop
 from nishiki.render.object.pixels import DepthMaps, bilinear, extend, mix
@@ -375,8 +375,12 @@ class ObjectRenderer:
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0
         if shot.captured is None and self.pictures is not None:
-            # elsewhere the surface that shows is wrong
-            away = turned_away(raster, self.mesh, shot.camera.centre)
+            shown = raster.triangle, raster.barycentric
+            points, normals = (
+                interpolate(values, self.mesh.triangles, *shown) for values in (self.mesh.vertices, self.mesh.normals)
+            )
+            # where the normal is turned away from the camera the surface that shows is wrong
+            away = covered & (np.einsum("ijk,ijk->ij", shot.camera.centre - points, normals) <= 0)
             extend(linear, covered & ~away, rings=FOLD_PX, within=away)
             np.clip(linear, 0, highest * sum(abs(weight) for _, weight in shot.lights), out=linear)
         reached = extend(linear, covered, rings=self.rim)
