@@ -148,29 +148,19 @@ def solve(
     if not iterations or operator.norm < np.finfo(np.float32).tiny:  # lest a step be infinite
         left = data - operator.look(samples_of(block, held))
         return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
-    ahead, momentum = held.copy(), 1.0
+    ahead, momentum = held, 1.0
     pace = dtype.type(1 / (operator.norm * block.plane.bound))
     for step in range(iterations):
         left = data - operator.look(samples_of(block, ahead))
         gradient = block.adjoint(operator.spread(left).reshape(shape))
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         level = threshold * DESCENT ** max(0.0, 1 - step / (0.6 * iterations))
-        shrink(ahead, held, gradient, pace, dtype.type(level), dtype.type((momentum - 1) / following))
-        momentum = following
+        stepped = ahead + pace * gradient
+        new = np.where(np.abs(stepped) <= dtype.type(level), dtype.type(0), stepped)
+        ahead = new + dtype.type((momentum - 1) / following) * (new - held)
+        held, momentum = new, following
     left = data - operator.look(samples_of(block, held))
     return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def shrink(ahead, held, gradient, pace, level, momentum):
-    """Take a step from `ahead` along the gradient, zero what is within the level, hold it, and go ahead of it."""
-    ahead, held, gradient = ahead.reshape(-1), held.reshape(-1), gradient.reshape(-1)
-    for n in range(len(held)):
-        new = ahead[n] + pace * gradient[n]
-        if abs(new) <= level:
-            new = pace * 0
-        ahead[n] = new + momentum * (new - held[n])
-        held[n] = new
 
 
 def samples_of(block: Block, coefficients: np.ndarray) -> np.ndarray:

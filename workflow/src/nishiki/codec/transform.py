@@ -214,25 +214,11 @@ def apply_rows(index, weight, rows, source, target, part, filled, needed):
                 if weight[i, k] != 0 and filled[index[i, k]]:
                     places[count], factors[count] = index[i, k], weight[i, k]
                     count += 1
-        start = part[0]
-        while start + 3 * LANES < part[1]:  # four sums at a time, as each waits for its last addition
-            a = b = c = d = splat(zero)
+        for start in range(part[0], part[1], LANES):
+            total = splat(zero)
             for k in range(count):
-                place, factor = places[k], factors[k]
-                a += load(source, (place, start)) * factor
-                b += load(source, (place, start + LANES)) * factor
-                c += load(source, (place, start + 2 * LANES)) * factor
-                d += load(source, (place, start + 3 * LANES)) * factor
-            store(target, (i, start), a)
-            store(target, (i, start + LANES), b)
-            store(target, (i, start + 2 * LANES), c)
-            store(target, (i, start + 3 * LANES), d)
-            start += 4 * LANES
-        for single in range(start, part[1], LANES):
-            a = splat(zero)
-            for k in range(count):
-                a += load(source, (places[k], single)) * factors[k]
-            store(target, (i, single), a)
+                total += load(source, (places[k], start)) * factors[k]
+            store(target, (i, start), total)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

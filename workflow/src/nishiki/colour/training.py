@@ -247,22 +247,18 @@ def _mixtures(draw: Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
     third = mixed * draw.log_uniform(*MINOR_AMOUNT, count, 1) * draw.chance(THIRD_PIGMENT, count, 1)
     white = ~pure & (~mixed | draw.chance(WHITE_IN_MIXTURES, count, 1))
     white = white * draw.log_uniform(*WHITE_AMOUNT, count, 1)
-    absorption, scattering = (white * part for part in _whites(draw, count))
+    # white pigments: the band edge of rutile is at 3.05 eV (406 nm)
+    rutile = draw.chance(RUTILE, count, 1)
+    place = np.where(rutile, draw.uniform(392.0, 399.0, count, 1), draw.uniform(370.0, 385.0, count, 1))
+    decay = draw.uniform(4.5, 6.5, count, 1)
+    tail = np.exp(-np.maximum((WAVELENGTHS_NM - place) / decay, -1.0))
+    absorption = white * (tail + draw.log_uniform(2e-4, 3e-3, count, 1) + _yellow(draw, count, (2e-4, 3e-2)))
+    scattering = white * (WAVELENGTHS_NM / 550.0) ** -draw.uniform(0.0, 0.6, count, 1)
     for amount in (1.0, second, third):
         k, s = draw_pigments(draw, count)
         absorption, scattering = absorption + amount * k, scattering + amount * s
     black = ~pure & draw.chance(BLACK, count, 1)
     return absorption + black * draw.log_uniform(*BLACK_ABSORPTION, count, 1), scattering
-
-
-def _whites(draw: Draw, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Draw absorption and scattering (count, 61) of white pigments: the band edge of rutile is at 3.05 eV (406 nm)."""
-    rutile = draw.chance(RUTILE, count, 1)
-    place = np.where(rutile, draw.uniform(392.0, 399.0, count, 1), draw.uniform(370.0, 385.0, count, 1))
-    decay = draw.uniform(4.5, 6.5, count, 1)
-    tail = np.exp(-np.maximum((WAVELENGTHS_NM - place) / decay, -1.0))
-    absorption = tail + draw.log_uniform(2e-4, 3e-3, count, 1) + _yellow(draw, count, (2e-4, 3e-2))
-    return absorption, (WAVELENGTHS_NM / 550.0) ** -draw.uniform(0.0, 0.6, count, 1)
 
 
 def _yellow(draw: Draw, count: int, strength: tuple[float, float]) -> np.ndarray:

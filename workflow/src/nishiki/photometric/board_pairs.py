@@ -107,7 +107,11 @@ def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> Bo
             gains = shown - of_boards[:, order]
             rest, least = gains - gains.mean(axis=1, keepdims=True), variance + LEAST_GAIN**2
             if fits + turn:  # at first the mean is right in any order of the boards
-                rest = _subtract_course(gains, covariances, least)
+                # less the best linear prediction of the part that the law correlates; the rest is more of outliers
+                rest = gains - np.median(gains, axis=1, keepdims=True)
+                for _ in range(ROUNDS):
+                    own = (least + np.square(rest / KINK))[:, :, None] * np.eye(count)
+                    rest = (own @ np.linalg.solve(covariances + own, gains[:, :, None]))[:, :, 0]
             spread = np.maximum(least, (1.4826 * np.median(np.abs(rest), axis=1)) ** 2)
             levels = rest + of_boards[:, order]
             squares = np.square(levels[:, :, None] - of_boards[:, None, :]) / spread[:, None, None]
@@ -158,15 +162,3 @@ def _measure(values: np.ndarray, fit: Fit, terms: np.ndarray, patches: np.ndarra
     first = np.maximum(factors[:, 0], GRAZING**2)
     shown[:, judged] = np.log(fit.gains[judged] * first), *(factors[:, 1:].T / first)
     return float(np.nanmedian(sizes / levels)), shown
-
-
-def _subtract_course(gains: np.ndarray, covariances: np.ndarray, variance: float) -> np.ndarray:
-    """Subtract from gains (3, lights) the best linear prediction of their part that the law correlates.
-
-    covariances (3, lights, lights): of that; variance: of the rest, more of outliers (Cauchy).
-    """
-    rest = gains - np.median(gains, axis=1, keepdims=True)
-    for _ in range(ROUNDS):
-        own = (variance + np.square(rest / KINK))[:, :, None] * np.eye(len(gains.T))
-        rest = (own @ np.linalg.solve(covariances + own, gains[:, :, None]))[:, :, 0]
-    return rest

@@ -65,19 +65,6 @@ def level_out(height_mm: np.ndarray) -> np.ndarray:
     return out
 
 
-def slopes_of_rows(height_mm: np.ndarray, start: int, stop: int, step_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute slopes (dh/dx to the right, dh/dy upwards) of rows start..stop, float64, by central differences.
-
-    One-sided at the edges.
-    """
-    count = len(height_mm)
-    rows = np.arange(start, stop)
-    up, down = np.maximum(rows - 1, 0), np.minimum(rows + 1, count - 1)
-    slope_y = (height_mm[up].astype(float) - height_mm[down]) / ((down - up) * step_mm)[:, None]
-    slope_x = np.gradient(height_mm[start:stop].astype(float), step_mm, axis=1)
-    return slope_x, slope_y
-
-
 def pixel_maps(height_mm: np.ndarray, *, step_mm: float, supersampling: int):
     """Average over camera pixels: normals (rows, columns, 3), height (rows, columns) mm, steepest slope in radians.
 
@@ -90,7 +77,11 @@ def pixel_maps(height_mm: np.ndarray, *, step_mm: float, supersampling: int):
     for band in strips(rows):
         start, stop = band.start, band.stop
         blocks = (stop - start, s, columns, s)
-        p, q = slopes_of_rows(height_mm, start * s, stop * s, step_mm)
+        # slopes to the right and upwards by central differences, one-sided at the edges
+        fine = np.arange(start * s, stop * s)
+        up, down = np.maximum(fine - 1, 0), np.minimum(fine + 1, len(height_mm) - 1)
+        q = (height_mm[up].astype(float) - height_mm[down]) / ((down - up) * step_mm)[:, None]
+        p = np.gradient(height_mm[fine].astype(float), step_mm, axis=1)
         square = p * p + q * q
         inverse = 1.0 / np.sqrt(1.0 + square)
         total = np.stack([(v * inverse).reshape(blocks).mean(axis=(1, 3)) for v in (-p, -q, np.ones_like(p))], axis=-1)
