@@ -163,6 +163,8 @@ def test_nothing_is_told_of_three_lamps_or_without_light():
     directions = dome(RINGS)
     assert arrange(np.full((12, 60, 80), np.nan), directions) is None
     assert arrange(photographs(directions)[:3], directions[:3]) is None
+    assert find_coded(np.full((12, 60, 80), np.nan), directions) is None
+    assert find_coded(photographs(directions)[:7], directions[:7]) is None
 
 
 @pytest.mark.parametrize("text", [*(name for name in ORDERS if ":" in name), "reverse"])

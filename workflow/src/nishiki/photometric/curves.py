@@ -8,7 +8,7 @@ photographs are tried, and the best one is refined photograph by photograph.
 import numpy as np
 
 from nishiki.photometric.arrangement import measure_in_errors
-from nishiki.photometric.consistency import FEWEST_JUDGED, SURE, WORST_LAW
+from nishiki.photometric.consistency import FEWEST_JUDGED, FEWEST_PIXELS, SURE, WORST_LAW
 from nishiki.photometric.lambert_fit import fit_lambert, median_of_lights, return_none_if_undetermined, spread_pixels
 
 GAMMA = 2.2  # exponent that decodes a curve for screens: sRGB, Adobe RGB and most developed pictures are near it
@@ -32,13 +32,13 @@ def find_coded(values: np.ndarray, lamps: np.ndarray) -> np.ndarray | None:
         Photographs that are coded; none where nothing is found; None where nothing can be told.
     """
     places, patches = spread_pixels(values)
+    if len(values) < FEWEST_JUDGED or len(places) < FEWEST_PIXELS:
+        return None
     count, chosen = len(values), values.reshape(len(values), -1)[:, places].astype(np.float64)
     vectors = lamps if lamps.ndim == 2 else lamps.reshape(count, -1, 3)[:, places]
     none, decoded_all = np.zeros(count, bool), np.maximum(chosen / np.nanmax(chosen), 0) ** GAMMA
     # as bright as before, so that misfits keep their size
     decoded_all *= (np.nanmedian(chosen, axis=1) / np.maximum(np.nanmedian(decoded_all, axis=1), 1e-300))[:, None]
-    if count < FEWEST_JUDGED:
-        return none
 
     def fit(coded: np.ndarray) -> np.ndarray:
         """Fit the photographs after decoding some, and return the misfit (patches,) relative to the brightness."""
