@@ -311,7 +311,7 @@ def apply_axis(matrix, source, target, needed):
 def _levels(planes: np.ndarray, plane: PlaneTransform, kind: str) -> None:
     """Transform all levels in place; kind: analysis, adjoint go from the finest level, synthesis from the coarsest."""
     side = -(-max(plane.shape) // LANES) * LANES
-    scratch = np.zeros((2, side, side), planes.dtype)
+    scratch = np.empty((2, side, side), planes.dtype)
     down, across = (getattr(axis, kind).rows(planes.dtype) for axis in (plane.down, plane.across))
     plane_levels(planes, kind == "synthesis", down, across, scratch)
 
