@@ -330,7 +330,7 @@ def along(matrix: np.ndarray, values: np.ndarray, axis: int, needed: np.ndarray 
     target = np.empty((source.shape[0], matrix.shape[0], source.shape[2]), values.dtype)
     wanted = np.ones(target.shape[:2], bool) if needed is None else needed.reshape(target.shape[:2])
     apply_axis(np.ascontiguousarray(matrix, values.dtype), source, target, wanted)
-    return target[..., :inner].reshape(*shape[:axis], matrix.shape[0], *shape[axis + 1 :])
+    return np.ascontiguousarray(target[..., :inner]).reshape(*shape[:axis], matrix.shape[0], *shape[axis + 1 :])
 
 
 @dataclass(frozen=True)
