@@ -218,7 +218,17 @@ def remove(items: Iterable[Item], tell: Callable[[Item], None]) -> tuple[int, li
     total, failed, parents = 0, [], set()
     for item in items:
         try:
-            _remove(item.folder)
+            doomed = item.folder
+            if not item.folder.name.endswith(PRUNED):
+                name = item.folder.name.removeprefix(".").split(".")[0]
+                doomed = item.folder.with_name(f".{name}.{owner()}{PRUNED}")
+                number = 0
+                while doomed.exists():
+                    number += 1
+                    doomed = item.folder.with_name(f".{name}.{number}.{owner()}{PRUNED}")
+                os.rename(item.folder, doomed)
+                flush(item.folder.parent)
+            shutil.rmtree(doomed)
         except OSError as error:
             failed.append((item.folder, str(error.strerror)))
             continue
@@ -231,17 +241,3 @@ def remove(items: Iterable[Item], tell: Callable[[Item], None]) -> tuple[int, li
         except OSError:
             continue  # not empty, which is the rule
     return total, failed
-
-
-def _remove(folder: Path) -> None:
-    doomed = folder
-    if not folder.name.endswith(PRUNED):
-        name = folder.name.removeprefix(".").split(".")[0]
-        doomed = folder.with_name(f".{name}.{owner()}{PRUNED}")
-        number = 0
-        while doomed.exists():
-            number += 1
-            doomed = folder.with_name(f".{name}.{number}.{owner()}{PRUNED}")
-        os.rename(folder, doomed)
-        flush(folder.parent)
-    shutil.rmtree(doomed)

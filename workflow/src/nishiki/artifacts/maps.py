@@ -98,17 +98,6 @@ class Maps:
         return self.group[name].attrs
 
 
-def maps_with(artifact: Artifact | None, name: str) -> Maps | None:
-    """Return the maps of an artifact that hold the map `name`; None where there is no artifact or no such map."""
-    maps = Maps(artifact.folder) if artifact and artifact.path("maps.zarr").is_dir() else None
-    return maps if maps and name in maps else None
-
-
-def directional_shading(maps: Maps) -> bool:
-    """Test if the body shading of normals holds the shadows that surroundings throw: none are cast on top of it."""
-    return "shading" in maps and maps.group["shading"].shape[-1] > 3
-
-
 def shading_normals(maps: Maps, rows: slice = slice(None)) -> np.ndarray:
     """Read the normals of the body shading for some rows: the stage's own maps of them, else its normals."""
     return maps.read("shading_normals" if "shading_normals" in maps else "normals", rows)

@@ -88,7 +88,37 @@ class SpecularHistogram:
         reject = infinity keeps all.  The fence is wide on purpose: noisy normals make z skew within a row, and their
         mean, not their median, is what the errors-in-variables fit needs.
         """
-        return _profile(self.weights[region], self.values[region], self.rows[region], reject)
+        rows = self.rows[region]
+        seen = rows[:, ATTENUATION] > 0
+        w, wz, sums = self.weights[region][seen], self.values[region][seen], rows[seen]
+        centre = wz / np.where(w > 0, w, 1)
+        total = sums[:, ATTENUATION]
+        cumulative = np.cumsum(w, axis=1)
+        index = np.arange(len(w))
+
+        def quantile(q):
+            return centre[index, np.argmax(cumulative >= q * cumulative[:, -1:], axis=1)]
+
+        low, high = quantile(0.25), quantile(0.75)
+        # a cell is 10 % wide: the fence is never narrower than that
+        width = np.maximum(high - low, 0.1 * np.maximum(abs(low), abs(high)))
+        with np.errstate(invalid="ignore"):
+            kept = (centre >= (low - reject * width)[:, None]) & (centre <= (high + reject * width)[:, None])
+        if np.isinf(reject):
+            kept = np.ones_like(kept)
+        w_kept = np.where(kept, w, 0)
+        used = w_kept.sum(axis=1)
+        mean = np.where(kept, wz, 0).sum(axis=1) / used
+        variance = (w_kept * (centre - mean[:, None]) ** 2).sum(axis=1) / used
+        return SpecularProfile(
+            phi=np.sqrt(sums[:, PHI2] / total),
+            value=mean,
+            weight=used,
+            count=sums[:, COUNT].astype(np.int64),
+            spread=np.sqrt(variance),
+            sigma=np.sqrt(sums[:, SIGMA2] / total),
+            rejected=1 - used / total,
+        )
 
 
 def unit_of(reflectances: Sequence[np.ndarray]) -> float:
@@ -118,40 +148,6 @@ def _add_samples(phi, residual, attenuation, sigma, value_unit, weights, values,
     values += np.bincount(cell, w * z, cells).reshape(ROWS, COLUMNS)
     for k, each in ((PHI2, w * phi**2), (SIGMA2, w * sigma**2), (COUNT, None), (ATTENUATION, w)):
         rows[:, k] += np.bincount(row, each, ROWS)
-
-
-def _profile(weights, values, rows, reject) -> SpecularProfile:
-    """Average the rows inside the fences."""
-    seen = rows[:, ATTENUATION] > 0
-    w, wz, sums = weights[seen], values[seen], rows[seen]
-    centre = wz / np.where(w > 0, w, 1)
-    total = sums[:, ATTENUATION]
-    cumulative = np.cumsum(w, axis=1)
-    index = np.arange(len(w))
-
-    def quantile(q):
-        return centre[index, np.argmax(cumulative >= q * cumulative[:, -1:], axis=1)]
-
-    low, high = quantile(0.25), quantile(0.75)
-    # a cell is 10 % wide: the fence is never narrower than that
-    width = np.maximum(high - low, 0.1 * np.maximum(abs(low), abs(high)))
-    with np.errstate(invalid="ignore"):
-        kept = (centre >= (low - reject * width)[:, None]) & (centre <= (high + reject * width)[:, None])
-    if np.isinf(reject):
-        kept = np.ones_like(kept)
-    w_kept = np.where(kept, w, 0)
-    used = w_kept.sum(axis=1)
-    mean = np.where(kept, wz, 0).sum(axis=1) / used
-    variance = (w_kept * (centre - mean[:, None]) ** 2).sum(axis=1) / used
-    return SpecularProfile(
-        phi=np.sqrt(sums[:, PHI2] / total),
-        value=mean,
-        weight=used,
-        count=sums[:, COUNT].astype(np.int64),
-        spread=np.sqrt(variance),
-        sigma=np.sqrt(sums[:, SIGMA2] / total),
-        rejected=1 - used / total,
-    )
 
 
 NODES_PER_UNIT = 1024  # of the table of the profile, per unit of chord

@@ -166,10 +166,6 @@ def delta_e_2000(lab1: np.ndarray, lab2: np.ndarray) -> np.ndarray:
     total = h1 + h2
     mean_hue = np.where(np.abs(apart) <= 180.0, 0.5 * total, 0.5 * (total + np.where(total < 360.0, 360.0, -360.0)))
     mean_hue = np.where(grey, total, mean_hue)
-    return _weighted_difference(l1, l2, c1, c2, hue_term, mean_hue)
-
-
-def _weighted_difference(l1, l2, c1, c2, hue_term, mean_hue):
     lightness, chroma = 0.5 * (l1 + l2), 0.5 * (c1 + c2)
     hue = np.radians(mean_hue)
     t = (

@@ -128,7 +128,17 @@ def seal_folder(capture: Path) -> str:
 def convert(source: str, capture: str | None, list_only: bool, unsealed: bool, **given) -> None:
     """Turn photographs with their lamps or cameras, or a goniometer's table, into a sealed capture folder."""
     if list_only:
-        _list(Path(source))
+        from nishiki.capture.convert import list_archive
+
+        archive = Path(source)
+        if not archive.is_dir():
+            raise UserError(f"{archive}: expected a folder to list. Remedy: correct the path")
+        rows = [(*row[:3], row.reason or "can be converted") for row in list_archive(archive)]
+        widths = [max((len(row[i]) for row in rows), default=0) for i in range(3)]
+        for row in rows:
+            cells = (f"{printable(cell):<{width}}" for cell, width in zip(row, (*widths, 0), strict=True))
+            print("  ".join(cells).rstrip())
+        print(f"{sum(row[3] == 'can be converted' for row in rows)} of {len(rows)} can be converted")
         return
     if capture is None:
         raise UserError("expected the capture folder to make, CAPTURE, or --list. Remedy: name it")
@@ -167,20 +177,6 @@ def convert_source(source: Path, capture: Path, given: dict, *, checked: bool):
     tell = Progress(f"check {capture}").tell
     examine = partial(check_capture, level="full", progress=tell) if checked else None
     return convert_folder(source, capture, ConvertOptions(**{**given, **paths, "camera_of": turned}, examine=examine))
-
-
-def _list(archive: Path) -> None:
-    """Print a line for each source below a folder: path, layout, parts, and why it cannot be converted."""
-    from nishiki.capture.convert import list_archive
-
-    if not archive.is_dir():
-        raise UserError(f"{archive}: expected a folder to list. Remedy: correct the path")
-    rows = [(*row[:3], row.reason or "can be converted") for row in list_archive(archive)]
-    widths = [max((len(row[i]) for row in rows), default=0) for i in range(3)]
-    for row in rows:
-        cells = (f"{printable(cell):<{width}}" for cell, width in zip(row, (*widths, 0), strict=True))
-        print("  ".join(cells).rstrip())
-    print(f"{sum(row[3] == 'can be converted' for row in rows)} of {len(rows)} can be converted")
 
 
 NOTHING_CONNECTED = """\

@@ -147,22 +147,18 @@ def _display(flow: Workflow, scenes: list[str], unfinished: int | None, failed: 
     unfinished: number of scenes that the run makes, where it is known; failed: descriptor for what failed. Snakemake's
     log file says more than a user wants to see, the rules with their reasons among it.
     """
-    expected: dict[str, object] = {"seconds": expected_seconds(flow, scenes)}
-    if unfinished is not None:
-        expected |= {"scenes": len(flow.plans) + len(flow.refused), "finished": len(flow.plans) - unfinished}
-    plugin_options = ["--logger-nishiki-expected", json.dumps(expected), "--logger-nishiki-failures", str(failed)]
-    return ["--logger", "nishiki", *plugin_options, "--quiet", "host"]
-
-
-def expected_seconds(flow: Workflow, scenes: Sequence[str]) -> dict[str, float]:
-    """Estimate the processor seconds of a job of each rule: means over some of the scenes."""
+    # means of processor seconds over some of the scenes, for a job of each rule
     seconds: dict[str, list[float]] = {}
     for scene in scenes[:: max(1, len(scenes) // SAMPLED_SCENES)]:
         for stage in flow.plans[scene].stages:
             parts = flow.parts(scene, stage)
             rule = stage if parts == 1 else "part"  # the stage's own job only joins its parts
             seconds.setdefault(rule, []).append(flow.seconds(scene, stage, 1 / parts))
-    return {rule: round(fmean(values), 3) for rule, values in seconds.items()}
+    expected: dict[str, object] = {"seconds": {rule: round(fmean(values), 3) for rule, values in seconds.items()}}
+    if unfinished is not None:
+        expected |= {"scenes": len(flow.plans) + len(flow.refused), "finished": len(flow.plans) - unfinished}
+    plugin_options = ["--logger-nishiki-expected", json.dumps(expected), "--logger-nishiki-failures", str(failed)]
+    return ["--logger", "nishiki", *plugin_options, "--quiet", "host"]
 
 
 def _tell(text: str) -> None:

@@ -292,6 +292,8 @@ def _turntable_facts(capture: TurntableCapture) -> SceneFacts:
         "silhouettes": all(capture.silhouette_of(view) for view in capture.views),
     }
     header = read_header(capture.observed[0].path, name=capture.observed[0].file)
+    observed = capture.observed
+    first = [f for f in observed if f.polariser == capture.states[0]]
     return SceneFacts(
         **_common_facts(capture),
         lights=capture.light_names,
@@ -303,7 +305,15 @@ def _turntable_facts(capture: TurntableCapture) -> SceneFacts:
         states=capture.states,
         has_poses=any(given[name] for name in POSES),
         given=tuple(name for name, is_there in given.items() if is_there),
-        parts=_turntable_parts(capture),
+        parts={
+            "states": len(observed) - len(first),
+            "white_states": sum(bool(f.polariser) for f in capture.frames_of("white")),
+            "photographs": len(first),
+            "calibration": len(capture.frames_of("board")),
+            "silhouettes": len({f.silhouette for f in capture.frames if f.silhouette}),
+            "mesh": int(capture.mesh is not None),
+            "scans": len(capture.scans),
+        },
     )
 
 
@@ -344,21 +354,6 @@ def _common_facts(capture: Capture | TurntableCapture | GoniometerCapture) -> di
         "has_illuminant": capture.illuminant is not None,
         "truth_sha256": "",
         "suffixes": tuple(sorted({frame.path.suffix.lower() for frame in capture.frames})),
-    }
-
-
-def _turntable_parts(capture: TurntableCapture) -> dict[str, int]:
-    """Count the files of each part that a scene may do without."""
-    observed = capture.observed
-    first = [f for f in observed if f.polariser == capture.states[0]]
-    return {
-        "states": len(observed) - len(first),
-        "white_states": sum(bool(f.polariser) for f in capture.frames_of("white")),
-        "photographs": len(first),
-        "calibration": len(capture.frames_of("board")),
-        "silhouettes": len({f.silhouette for f in capture.frames if f.silhouette}),
-        "mesh": int(capture.mesh is not None),
-        "scans": len(capture.scans),
     }
 
 

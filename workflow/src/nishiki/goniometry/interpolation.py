@@ -15,6 +15,8 @@ def coefficients(values: np.ndarray) -> np.ndarray:
     Rows are theta from the pole to the horizon, columns phi round the azimuth (an even number). Beyond the pole the
     function goes on at phi + pi; beyond the horizon the logarithm goes on as a straight line. ValueError otherwise.
     """
+    from scipy.ndimage import spline_filter1d
+
     values = np.asarray(values, np.float64)
     nt, around, _ = values.shape
     if around % 2 or nt <= MARGIN or around < 2 * MARGIN:
@@ -26,14 +28,8 @@ def coefficients(values: np.ndarray) -> np.ndarray:
     half = np.concatenate([logs, logs[-1] + step * (logs[-1] - logs[-2])])
     # from horizon to horizon through the pole: there the spline is as smooth as anywhere
     arc = np.concatenate([np.roll(half[1:], around // 2, axis=1)[::-1], half])
-    return _filter(arc, around, len(half) - 1 - MARGIN, nt + 2 * MARGIN)
-
-
-def _filter(arc: np.ndarray, around: int, first: int, rows: int) -> np.ndarray:
-    """Compute spline coefficients along both axes; round the azimuth the filter is exactly periodic."""
-    from scipy.ndimage import spline_filter1d
-
-    inner = spline_filter1d(arc, 3, axis=0, mode="mirror")[first : first + rows]
+    first = len(half) - 1 - MARGIN
+    inner = spline_filter1d(arc, 3, axis=0, mode="mirror")[first : first + nt + 2 * MARGIN]
     # on a circle the filter [1/6, 4/6, 1/6] is a division in the Fourier domain
     response = (2 + np.cos(2 * np.pi * np.fft.rfftfreq(around))) / 3
     turned = np.fft.irfft(np.fft.rfft(inner, axis=1) / response[None, :, None], n=around, axis=1)

@@ -287,8 +287,3 @@ def _darks(reader: FrameReader, edges: tuple, tick: Callable[[str], None]) -> tu
     except CaptureError as e:
         level = np.zeros((1, 1, len(reader.names)), np.float32)
         return DarkField((None,), (level,), np.zeros(reader.region[2:], bool), ()), list(e.problems)
-
-
-def has_errors(problems: list[Problem]) -> bool:
-    """Check whether the capture cannot be used."""
-    return any(p.severity == "error" for p in problems)

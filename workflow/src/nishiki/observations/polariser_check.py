@@ -167,7 +167,12 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
         named = capture.silhouette_of(frame.view) if frame.role == "sample" else None
         if frame.role == "sample":
             pictures.add(frame.view, codes, reader)
-        inside = _outline(named, codes.shape[:2])
+        size = codes.shape[:2]  # all ones where no silhouette is usable, which is reported apart
+        try:
+            outline = read_mask(require(named.silhouette_path), name=named.silhouette) if named else None
+        except CaptureError:
+            outline = None
+        inside = outline.astype(np.uint8) if outline is not None and outline.shape == size else np.ones(size, np.uint8)
         levels.add(frame, codes, inside)
         *counts, highest = count_unusable(codes, inside, reader.saturated, reader.clip)
         return view_problems(frame, np.array(counts), float(highest), reader, outlined=named is not None)
@@ -190,12 +195,3 @@ def _reference_problems(reader: FrameReader[TurntableCapture], tick: Tick) -> li
         return [*darks.problems, *whites]
     except CaptureError as e:
         return list(e.problems)
-
-
-def _outline(frame: Frame | None, size: tuple[int, int]) -> np.ndarray:
-    """Read the silhouette (rows, columns) uint8; all ones where none is usable (which is reported apart)."""
-    try:
-        outline = read_mask(require(frame.silhouette_path), name=frame.silhouette) if frame else None
-    except CaptureError:
-        outline = None
-    return outline.astype(np.uint8) if outline is not None and outline.shape == size else np.ones(size, np.uint8)

@@ -124,7 +124,12 @@ def draw_as_viewer(look: Any, basis: LobeBasis) -> Callable[[Any], np.ndarray]:
         weights, roughness = (sample(each, points.places) / 255 for each in (basis.weights, look.roughness[..., None]))
         irradiance, strength = points.factors()
         cos_phi, cos_i, cos_r, cos_q = points.cosines()
-        found = distribution(basis.tables, weights, cos_phi)
+        last = basis.tables.shape[-1] - 1  # 0 beyond 60 degrees, as in the viewer's shader
+        place = np.sqrt(3 * np.arccos(np.clip(cos_phi, 0, 1)) / np.pi) * last
+        before = np.minimum(place.astype(np.int64), last + 1)
+        share = np.minimum(place - before, 1)
+        padded = np.pad(basis.tables, ((0, 0), (0, 0), (0, 2)))
+        found = np.einsum("nb,bcn->nc", weights, padded[..., before] * (1 - share) + padded[..., before + 1] * share)
         grazing = found.mean(axis=1, keepdims=True) / NORMAL_REFLECTANCE
         rising = found + (grazing - found) * ((1 - cos_q) ** 5)[:, None]
         light, view = (each**2 + roughness[:, 0] ** 4 * (1 - each**2) for each in (cos_i, cos_r))  # S^2
@@ -133,13 +138,3 @@ def draw_as_viewer(look: Any, basis: LobeBasis) -> Callable[[Any], np.ndarray]:
         return look.scale * (body * irradiance + np.pi * gloss)
 
     return draw
-
-
-def distribution(tables: np.ndarray, weights: np.ndarray, cos_phi: np.ndarray) -> np.ndarray:
-    """Compute (n, 3) D of tables (k, 3, samples) and weights (n, k); 0 beyond 60 degrees, as in the viewer's shader."""
-    last = tables.shape[-1] - 1
-    place = np.sqrt(3 * np.arccos(np.clip(cos_phi, 0, 1)) / np.pi) * last
-    before = np.minimum(place.astype(np.int64), last + 1)
-    share = np.minimum(place - before, 1)
-    padded = np.pad(tables, ((0, 0), (0, 0), (0, 2)))
-    return np.einsum("nb,bcn->nc", weights, padded[..., before] * (1 - share) + padded[..., before + 1] * share)

@@ -66,7 +66,7 @@ class Exposure:
     iso: int | None = None  # sensitivity
 
 
-class Camera(Protocol):
+class Camera(Closable, Protocol):
     """A camera that is released by this computer, or whose photographs arrive in a folder."""
 
     def configure(self, exposure: Exposure) -> Exposure:
@@ -81,11 +81,8 @@ class Camera(Protocol):
         Returns the complete files of this exposure under the camera's own names: one, or raw and JPEG, sorted by name.
         """
 
-    def close(self) -> None:
-        """Release the camera; a second call does nothing."""
 
-
-class Lamps(Protocol):
+class Lamps(Closable, Protocol):
     """Lamps of which at most one is on."""
 
     count: int  # number of lamps
@@ -97,7 +94,7 @@ class Lamps(Protocol):
         """Switch all lamps off where the line still works, and release the device; a second call does nothing."""
 
 
-class Axis(Protocol):
+class Axis(Closable, Protocol):
     """A turning axis: a turntable, or one arm of a goniometer.
 
     One that goes along a line has an attribute `straight`, which is True, and counts millimetres.
@@ -114,11 +111,8 @@ class Axis(Protocol):
         Raises DeviceError where the axis was not homed since it was opened, or the angle is outside its range.
         """
 
-    def close(self) -> None:
-        """Release the device; a second call does nothing."""
 
-
-class Polariser(Protocol):
+class Polariser(Closable, Protocol):
     """A polariser, or a pair of them, that a motor or a person puts into a state."""
 
     states: tuple[str, ...]  # its states, named as in the column `polariser` of frames.csv: `off`, `on`, `45`, `0/90`
@@ -128,9 +122,6 @@ class Polariser(Protocol):
 
         Returns when it stands. Raises DeviceError where the device has no such state.
         """
-
-    def close(self) -> None:
-        """Release the device; a second call does nothing."""
 
 
 @dataclass(frozen=True)
@@ -384,16 +375,12 @@ class SerialLine:
             match = re.search(expect, line)
             if match:
                 return match
-        raise self._lost(self._instead(lines, expect, timeout_s))
-
-    def _instead(self, lines: list[str], expect: str, timeout_s: float) -> str:
-        """Describe the lines received in place of the answer."""
         partial = self._text(self.buffer)
         parts = [repr(line) for line in lines] + ([f"{partial!r} without an end of line"] if partial else [])
         received = ", ".join(parts) or "nothing"
         if len(received) > SHOWN:
             received = f"{received[:SHOWN]} ..."
-        return f"expected an answer with {expect!r} within {timeout_s:g} s, received {received}"
+        raise self._lost(f"expected an answer with {expect!r} within {timeout_s:g} s, received {received}")
 
     def _next_line(self, end: float) -> str | None:
         """Return the next complete line that arrives before a moment of the monotonic clock."""

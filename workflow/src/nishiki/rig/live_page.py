@@ -99,30 +99,26 @@ def serve(state: RunState, title: str, port: int = DEFAULT_PORT) -> Iterator[str
 def page_html(state: RunState, title: str) -> str:
     """Build the page: one self-contained HTML file."""
     with state.lock:
-        page = _page(state, title)
+        kept, total = len(state.kept), len(state.frames)
+        sections = [PageSection("last", "The last photograph", _last(state.last, state))] if state.last else []
+        rows = [(event["time"][11:19], event["file"], why(event)) for event in state.repeated[::-1]]
+        repeats = Table(("time", "frame", "why"), rows, "llw") if rows else Note(["Nothing so far."])
+        sections += [
+            PageSection("frames", "Frames", _frames(state)),
+            PageSection("repeated", "What was repeated, and why", [repeats]),
+        ]
+        tiles = [
+            Metric(kept, f"of {total}", "frames are kept"),
+            Metric(round(state.seconds_left() / 60, 1), "min", "left, as it goes"),
+            Metric(len(state.repeated), "", "frames were taken again"),
+        ]
+        if state.last:
+            tiles.append(Metric(100 * state.last.measures.saturated, "%", "of the last photograph is saturated"))
+        footer = f"Nishiki {PROJECT_VERSION}. This page is seen on this computer only."
+        page = Page(title, state.doing, sections, PROJECT_VERSION, footer, tiles=tiles)
     noscript = f'<noscript><meta http-equiv="refresh" content="{REFRESH_MS // 1000 + 1}"></noscript>'
     html = render_page(page)
     return html.replace("</head>", f"{noscript}\n</head>", 1).replace("</body>", f"{SCRIPT}</body>", 1)
-
-
-def _page(state: RunState, title: str) -> Page:
-    kept, total = len(state.kept), len(state.frames)
-    sections = [PageSection("last", "The last photograph", _last(state.last, state))] if state.last else []
-    rows = [(event["time"][11:19], event["file"], why(event)) for event in state.repeated[::-1]]
-    repeats = Table(("time", "frame", "why"), rows, "llw") if rows else Note(["Nothing so far."])
-    sections += [
-        PageSection("frames", "Frames", _frames(state)),
-        PageSection("repeated", "What was repeated, and why", [repeats]),
-    ]
-    tiles = [
-        Metric(kept, f"of {total}", "frames are kept"),
-        Metric(round(state.seconds_left() / 60, 1), "min", "left, as it goes"),
-        Metric(len(state.repeated), "", "frames were taken again"),
-    ]
-    if state.last:
-        tiles.append(Metric(100 * state.last.measures.saturated, "%", "of the last photograph is saturated"))
-    footer = f"Nishiki {PROJECT_VERSION}. This page is seen on this computer only."
-    return Page(title, state.doing, sections, PROJECT_VERSION, footer, tiles=tiles)
 
 
 def _last(last: LastPhotograph, state: RunState) -> list[Block]:

@@ -243,7 +243,20 @@ class ReadPlan:
         lit = _in_order(plan, groups)
         darks = _darks(plan, lit)
         ordered = [*darks, *lit] if plan.dark and plan.dark.when == "before" else [*lit, *darks]
-        return tuple(_with_estimates(plan, ordered))
+        estimate, before, rows = plan.estimate, {}, []
+        state: tuple[tuple[str, str], ...] = ()
+        for frame in ordered:
+            exposure = frame.exposure_s if isinstance(frame.exposure_s, float) else plan.auto.start_s
+            seconds = exposure + estimate.download_s
+            turns = [abs(angle - before.get(name, 0.0)) for name, angle in frame.axes]
+            if plan.kind != "dome":
+                turns = [min(turn % 360, -turn % 360) for turn in turns]
+            seconds += max(turns, default=0.0) / estimate.degrees_per_s
+            before |= dict(frame.axes)
+            if frame.polarisers and frame.polarisers != state:
+                seconds, state = seconds + estimate.polariser_s, frame.polarisers
+            rows.append(replace(frame, seconds=round(seconds, 1), bytes=int(estimate.frame_mb * 1e6)))
+        return tuple(rows)
 
 
 def read_plan(path: Path) -> ReadPlan:
@@ -397,24 +410,6 @@ def _darks(plan: AnyPlan, lit: list[PlannedFrame]) -> list[PlannedFrame]:
         for name, exposure in zip(names, exposures, strict=True)
         for i in range(count)
     ]
-
-
-def _with_estimates(plan: AnyPlan, frames: list[PlannedFrame]) -> list[PlannedFrame]:
-    """Add seconds and bytes to the frames."""
-    estimate, before, rows = plan.estimate, {}, []
-    state: tuple[tuple[str, str], ...] = ()
-    for frame in frames:
-        exposure = frame.exposure_s if isinstance(frame.exposure_s, float) else plan.auto.start_s
-        seconds = exposure + estimate.download_s
-        turns = [abs(angle - before.get(name, 0.0)) for name, angle in frame.axes]
-        if plan.kind != "dome":
-            turns = [min(turn % 360, -turn % 360) for turn in turns]
-        seconds += max(turns, default=0.0) / estimate.degrees_per_s
-        before |= dict(frame.axes)
-        if frame.polarisers and frame.polarisers != state:
-            seconds, state = seconds + estimate.polariser_s, frame.polarisers
-        rows.append(replace(frame, seconds=round(seconds, 1), bytes=int(estimate.frame_mb * 1e6)))
-    return rows
 
 
 def incidence_cosines(plan: ReadPlan, frames: tuple[PlannedFrame, ...]) -> dict[str, float]:

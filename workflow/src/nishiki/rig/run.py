@@ -342,9 +342,20 @@ class CaptureRun:
     def _photograph(
         self, frame: PlannedFrame, seconds: float | None
     ) -> tuple[Path, float | None, Measures | None, list[str]]:
-        self._expect_room(frame)
+        largest = max((event["bytes"] for event in self.kept.values()), default=frame.bytes)
+        free = shutil.disk_usage(self.work).free
+        if free < 2 * largest:
+            raise UserError(
+                f"{self.work}: expected room for two photographs ({2 * largest / 1e6:.0f} MB), found "
+                f"{free / 1e6:.0f} MB. Remedy: free space there. {SAME_COMMAND}"
+            )
         rig = self.devices.open_devices()
-        self._prepare_subject(frame.group)
+        if frame.group != self.subject:
+            self.subject = None
+            self._note("request", request=REQUESTS[frame.group])
+            self.ask("rig", REQUESTS[frame.group])
+            self._note("subject", subject=frame.group)
+            self.subject = frame.group
         taken = self.devices.set_up(frame, seconds)
         _clear(self.incoming)
         path = self._pick(frame, rig.camera.photograph(self.incoming))
@@ -394,16 +405,6 @@ class CaptureRun:
         os.replace(path, target)
         flush(target.parent)
 
-    def _expect_room(self, frame: PlannedFrame) -> None:
-        """Raise UserError before an exposure that does not fit on the disk."""
-        largest = max((event["bytes"] for event in self.kept.values()), default=frame.bytes)
-        free = shutil.disk_usage(self.work).free
-        if free < 2 * largest:
-            raise UserError(
-                f"{self.work}: expected room for two photographs ({2 * largest / 1e6:.0f} MB), found "
-                f"{free / 1e6:.0f} MB. Remedy: free space there. {SAME_COMMAND}"
-            )
-
     # Exposure
 
     def _exposure_of(self, frame: PlannedFrame) -> float | None:
@@ -441,15 +442,6 @@ class CaptureRun:
             seconds = wanted
         what = f"{frame.file}: no exposure found: {'; '.join(tried)}"
         raise UserError(f"{what}. Remedy: change light or aperture, or set exposure_s in the plan")
-
-    def _prepare_subject(self, group: str) -> None:
-        """Request the subject that has to stand before the camera."""
-        if group != self.subject:
-            self.subject = None
-            self._note("request", request=REQUESTS[group])
-            self.ask("rig", REQUESTS[group])
-            self._note("subject", subject=group)
-            self.subject = group
 
     # The end
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.maps import Maps, directional_shading, maps_with, shading_normals, shrink
+from nishiki.artifacts.maps import Maps, shading_normals, shrink
 from nishiki.brdf.scene import gloss_table
 from nishiki.brdf.slopes import products, slope_covariance, slopes_of
 from nishiki.brdf.torrance_sparrow import MIRROR
@@ -157,7 +157,8 @@ class PaintingMaps:
         self.heights, self._spectra = (
             Maps(inputs[name].folder) if name in inputs else None for name in ("height", "spectra")
         )
-        self.labels = maps_with(brdf, "labels")
+        maps = Maps(brdf.folder) if brdf and brdf.path("maps.zarr").is_dir() else None
+        self.labels = maps if maps and "labels" in maps else None
         group, parameters = self.maps.group, None if brdf is None else read_json(brdf.path("parameters.json"))
         self.shape: tuple[int, int] = group["normals"].shape[:2]
         self.band_rows: int = group["normals"].chunks[0]
@@ -166,7 +167,8 @@ class PaintingMaps:
         self.glossy = parameters is not None
         self.gloss = Gloss(*gloss_table(parameters)) if self.glossy else Gloss.none()
         self.terms = group["shading"].shape[-1] if "shading" in self.maps else 0
-        self.casts_shadows = not directional_shading(self.maps)
+        # with more terms the body shading of normals holds the shadows that surroundings throw
+        self.casts_shadows = self.terms <= 3
 
     @property
     def pitch(self) -> float:

@@ -1,6 +1,5 @@
 """Photograph a simulated painting, and write the capture's folder with the truth behind it."""
 
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -38,7 +37,6 @@ from nishiki.simulate.painting.settings import (
     place_lamps,
     planck_spectrum,
     vignette,
-    xyz_tables,
 )
 from nishiki.simulate.randomness import subkey
 from nishiki.threads import strips
@@ -88,25 +86,19 @@ def make_tables(thing: SimulatedObject, settings: SimulationSettings, *, with_tr
     spectra = thing.palette.spectra
     parts, squares, whites = [spectra @ weights], [spectra**2 @ weights], [np.ones(len(response))]
     if with_truth:
-        from nishiki.colour.colour import illuminant
+        from nishiki.colour.colour import illuminant, xyz_matrix
 
         spectra = true_spectra(settings)
         for lamp in (planck_spectrum(WAVELENGTHS_NM, settings.lights.colour_temperature_k), illuminant("D65")):
-            xyz, xyz_squared, xyz_white = xyz_tables(spectra, lamp)
-            parts.append(xyz)
-            squares.append(xyz_squared)
-            whites.append(xyz_white)
+            parts.append(xyz_matrix(lamp, spectra).T)
+            squares.append(xyz_matrix(lamp, spectra**2).T)
+            whites.append(xyz_matrix(lamp, np.ones((1, spectra.shape[1])))[:, 0])
     return Tables(np.hstack(parts), np.hstack(squares), np.concatenate(whites), signal)
 
 
 def true_spectra(settings: SimulationSettings) -> np.ndarray:
     """Compute the reflectance (labels, 61) of every paint at 400, 405 .. 700 nm."""
     return make_palette(WAVELENGTHS_NM, alpha=settings.alpha, seed=settings.seed).spectra
-
-
-def bands(settings: SimulationSettings) -> Iterator[slice]:
-    """Cut the rows into slices, in which the pictures are computed; they bound the memory and do not change a byte."""
-    return strips(settings.rows)
 
 
 def photograph(
@@ -121,7 +113,7 @@ def photograph(
         tails = {"xyz_lamp": (3,), "xyz_d65": (3,), "gloss": (), "body": ()}
         truth = {name: np.empty((*shape, *tail), np.float32) for name, tail in tails.items()}
     key = subkey(settings.seed, f"noise sample {lamp.name}")
-    for rows in bands(settings):
+    for rows in strips(settings.rows):  # the slices bound the memory and do not change a byte
         shading = shade(thing, lamp, settings, table=tables.table, squared=tables.squared, rows=rows)
         observed = shading.body + shading.gloss[..., None] * tables.white.astype(np.float32)
         strength = (beam_strength(lamp, settings, rows) * vignette(settings, rows)).astype(np.float32)
@@ -141,7 +133,7 @@ def white_board(lamp: LampPose, settings: SimulationSettings, tables: Tables) ->
     """Photograph the flat, matt white board in the object's place under one lamp: codes (rows, columns, channels)."""
     codes = np.empty((settings.rows, settings.columns, settings.camera.channels), np.uint16)
     key = subkey(settings.seed, f"noise white {lamp.name}")
-    for rows in bands(settings):
+    for rows in strips(settings.rows):
         light = beam_strength(lamp, settings, rows) * board_cosine(lamp, settings, rows) * vignette(settings, rows)
         signal = BOARD_REFLECTANCE * light[..., None] * tables.signal
         codes[rows] = expose(signal, settings.camera, key=key, first_row=rows.start)

@@ -177,20 +177,6 @@ def make_palette(wavelengths_nm: np.ndarray, *, alpha: float, seed: int) -> Pale
     return Palette(first, steps, region, tuple(names), np.array(spectra), np.clip(roughness, 0.0, 1.0))
 
 
-def xyz_tables(spectra: np.ndarray, illuminant: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Compute (table (labels, 3), squared, white (3,)): XYZ of spectra (labels, 61), 400..700/5 nm, illuminant (61,).
-
-    Y of a perfect white is 1. Plain sums over the 61 bands.
-    """
-    from nishiki.colour.colour import xyz_matrix
-
-    return (
-        xyz_matrix(illuminant, spectra).T,
-        xyz_matrix(illuminant, spectra**2).T,
-        xyz_matrix(illuminant, np.ones((1, spectra.shape[1])))[:, 0],
-    )
-
-
 ROUGHNESS = {"none": 0.0, "matte": 0.42, "satin": 0.22, "varnish": 0.11}
 RELIEFS = ("flat", "canvas", "impasto")
 SCENES = ("painting", "spheres")

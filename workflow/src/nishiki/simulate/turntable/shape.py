@@ -146,7 +146,17 @@ def make_surface(triangles: int) -> SimulatedSurface:
     surface = _settle(vertices, faces)
     for _ in range(4):
         surface = _settle(_relax(surface), faces)
-    return _without_slivers(surface, spacing)
+    # triangles of hardly any area go, and vertices that no triangle uses
+    a, b, c = (surface.vertices[surface.triangles[:, corner]] for corner in range(3))
+    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    faces = surface.triangles[area > 1e-9 * spacing * spacing]
+    used, faces = np.unique(faces, return_inverse=True)
+    return SimulatedSurface(
+        surface.vertices[used],
+        np.ascontiguousarray(faces.reshape(-1, 3), np.int32),
+        surface.normals[used],
+        surface.parts[used],
+    )
 
 
 def scan(surface: SimulatedSurface, *, noise_mm: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -179,21 +189,16 @@ def _settle(vertices: np.ndarray, faces: np.ndarray) -> SimulatedSurface:
         place, slope = settle(vertices[some].T, 3)
         points[some], normals[some], parts[some] = place.T, slope.T, part_distances(place).T
     # Where two parts meet in a crease the gradient is that of one of them only: there use the triangles'.
-    mean = _triangle_normals(points, faces)
+    a, b, c = (points[faces[:, corner]] for corner in range(3))
+    cross = np.cross(b - a, c - a)
+    sums = np.zeros_like(points)
+    for corner in range(3):
+        for axis in range(3):
+            sums[:, axis] += np.bincount(faces[:, corner], cross[:, axis], len(points))
+    mean = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)
     crease = np.einsum("ij,ij->i", mean, normals) < _CREASE
     normals[crease] = mean[crease]
     return SimulatedSurface(points, faces, normals, parts)
-
-
-def _triangle_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Compute unit normals (v, 3): means over the triangles at each vertex, weighted by area."""
-    a, b, c = (vertices[faces[:, corner]] for corner in range(3))
-    cross = np.cross(b - a, c - a)
-    sums = np.zeros_like(vertices)
-    for corner in range(3):
-        for axis in range(3):
-            sums[:, axis] += np.bincount(faces[:, corner], cross[:, axis], len(vertices))
-    return sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), 1e-300)
 
 
 def _relax(surface: SimulatedSurface) -> np.ndarray:
@@ -207,20 +212,6 @@ def _relax(surface: SimulatedSurface) -> np.ndarray:
     )
     move = 0.5 * (mean - surface.vertices)
     return surface.vertices + move - np.einsum("ij,ij->i", move, surface.normals)[:, None] * surface.normals
-
-
-def _without_slivers(surface: SimulatedSurface, spacing: float) -> SimulatedSurface:
-    """Remove triangles of hardly any area, and vertices that no triangle uses."""
-    a, b, c = (surface.vertices[surface.triangles[:, corner]] for corner in range(3))
-    area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    faces = surface.triangles[area > 1e-9 * spacing * spacing]
-    used, faces = np.unique(faces, return_inverse=True)
-    return SimulatedSurface(
-        surface.vertices[used],
-        np.ascontiguousarray(faces.reshape(-1, 3), np.int32),
-        surface.normals[used],
-        surface.parts[used],
-    )
 
 
 DISTANCE_MM = 1200.0  # from the camera to the axis

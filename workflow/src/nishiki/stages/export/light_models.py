@@ -46,7 +46,15 @@ class HarmonicModel:
     def of(cls, kind: str, lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> "HarmonicModel":
         """Choose the ridge that predicts left-out lights best, on sample pixels (lights, 3, n)."""
         design = WEIGHTS[kind](lights)
-        return cls(kind, design, chosen_ridge(design, values, valid))
+        whole = valid.all(axis=0)
+        samples = (values[..., whole] if whole.any() else values).reshape(len(design), -1).astype(np.float64)
+        errors = []
+        for ridge in RIDGES:
+            hat = design @ np.linalg.pinv(design.T @ design + penalty(design, ridge)) @ design.T
+            kept = 1 - np.diag(hat)
+            left_out = (samples - hat @ samples) / np.maximum(kept, LEAST_REDUNDANCY)[:, None]
+            errors.append(float(np.mean(left_out**2)) if kept.min() > LEAST_REDUNDANCY else np.inf)
+        return cls(kind, design, RIDGES[int(np.argmin(errors))])
 
     @property
     def planes(self) -> int:
@@ -200,19 +208,6 @@ def coded_components(components: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Quantise components (planes, directions, 3) to uint8; return the codes and their units (planes,)."""
     span = 127 / np.maximum(np.abs(components).max(axis=(1, 2)), 1e-6)
     return (np.rint(components * span[:, None, None]) + 127).astype(np.uint8), span
-
-
-def chosen_ridge(design: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:
-    """Choose the ridge of RIDGES with the smallest leave-one-out squared error (closed form)."""
-    whole = valid.all(axis=0)
-    samples = (values[..., whole] if whole.any() else values).reshape(len(design), -1).astype(np.float64)
-    errors = []
-    for ridge in RIDGES:
-        hat = design @ np.linalg.pinv(design.T @ design + penalty(design, ridge)) @ design.T
-        kept = 1 - np.diag(hat)
-        left_out = (samples - hat @ samples) / np.maximum(kept, LEAST_REDUNDANCY)[:, None]
-        errors.append(float(np.mean(left_out**2)) if kept.min() > LEAST_REDUNDANCY else np.inf)
-    return RIDGES[int(np.argmin(errors))]
 
 
 def chosen_width(lights: np.ndarray, values: np.ndarray, valid: np.ndarray) -> float:

@@ -49,16 +49,12 @@ class Finish:
         """Return CIEDE2000 of the held-out lamps that the others surround."""
         return self.errors[name][self.inside]
 
-    def gloss_gain(self, model: str | None) -> float | None:
-        """Compute the reduction of held-out CIEDE2000 by gloss in the chosen fit; None where no lamps were held out."""
-        name = "joint" if self.joint else model
-        return float((self.error(f"{name}, matt") - self.error(name)).mean()) if name in self.errors else None
-
     def describe(self, model: str | None) -> dict:
         """Return plain numbers for the diagnostics; model: of relighting."""
         gloss = {} if self.gloss is None else {**self.gloss.described, **self.profile.described}
         means = {name: float(f"{self.error(name).mean():.4g}") for name in self.errors}
-        gain = self.gloss_gain(model)
+        name = "joint" if self.joint else model
+        gain = float((self.error(f"{name}, matt") - self.error(name)).mean()) if name in self.errors else None
         counts = {"gloss_counts": gain is None or gain > 0, "gloss_gain_de00": gain}
         return {"share": self.share, "joint": self.joint, **gloss, **counts, "left_out_de00": means}
 

@@ -74,11 +74,6 @@ def _corrections_table(corrections: dict[str, Any]) -> Table | None:
     return Table(["Light", "moved by", "strength", "what was done"], rows, "lrrl", caption)
 
 
-def kind_of(name: str, role: str, held_out: list[str]) -> str:
-    """Return sample, check or held out."""
-    return "check" if role == "check" else ("held out" if name in held_out else "sample")
-
-
 def facts_of_object(diagnostics: dict[str, Any]) -> list[tuple[str, str]]:
     """List label and text of each fact on the capture of an object."""
     capture = diagnostics["capture"]

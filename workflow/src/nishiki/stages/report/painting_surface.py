@@ -40,7 +40,6 @@ from nishiki.report.pictures import (
 )
 from nishiki.report.scene_page import SceneData
 from nishiki.report.svg import DASHES, PALETTE, SOFT, ChartCurve, chart, figure
-from nishiki.stages.report.capture import kind_of
 
 # From harmless to grave: later ones win where a block of pixels has several.
 CLASSES = (
@@ -117,7 +116,10 @@ class PaintingData(SceneData):
         ingest, normals = self.inputs["ingest"], self.inputs["normals"]
         frames = self.frames = Observations(ingest.folder)
         held_out = normals.settings.get("hold_out", [])
-        self.kinds = [kind_of(name, role, held_out) for name, role in zip(frames.lights, frames.roles, strict=True)]
+        self.kinds = [
+            "check" if role == "check" else ("held out" if name in held_out else "sample")
+            for name, role in zip(frames.lights, frames.roles, strict=True)
+        ]
         self.maps = {name: Maps(each.folder) for name, each in self.inputs.items() if each.path("maps.zarr").is_dir()}
         self.mask, self.pitch = frames.mask, frames.pixel_pitch_mm
         self.block, self.ruler = block_of(frames.shape[1], self.widest), ruler(frames.shape[1], self.pitch)
