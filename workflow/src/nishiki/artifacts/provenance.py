@@ -53,26 +53,19 @@ def syntax_of(path: Path) -> Syntax:
     syntax = store.known.get(name)
     if syntax is None:
         tree = ast.parse(data)
-        names = tuple(sorted(_list_imports(tree)))  # before docstrings go
+        imported: set[str] = set()  # in any import statement, late imports inside functions included
         for node in ast.walk(tree):  # comments are no part of a syntax tree
-            if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            if isinstance(node, ast.Import):
+                imported |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                imported |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+            elif isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 if ast.get_docstring(node, clean=False) is not None:
                     node.body = node.body[1:] or [ast.Pass()]
         tree_text = ast.dump(tree, annotate_fields=False)
-        syntax = Syntax(hashlib.sha256(tree_text.encode()).hexdigest(), names)
+        syntax = Syntax(hashlib.sha256(tree_text.encode()).hexdigest(), tuple(sorted(imported)))
     store.used[name] = syntax
     return syntax
-
-
-def _list_imports(tree: ast.Module) -> set[str]:
-    """List names in any import statement, late imports inside functions included."""
-    names: set[str] = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return names
 
 
 class _Store:

@@ -122,7 +122,12 @@ def text_of(summary: dict[str, Any]) -> str:
         lines.append(f"  {count}: at most {memory} MiB and {duration(seconds)} of one core")
     else:
         lines.append("  nothing to run: every stage is done")
-    lines += _read_lines(summary["reads"]) if summary["reads"] else []
+    if reads := summary["reads"]:
+        lines += [
+            f"  reads {row['read']:>5} of {row['of']:>5}  {row['what']:34} {_size(row['bytes_read'], row['bytes_of'])}"
+            for row in (*reads["files"], {**reads["total"], "what": "all files"})
+        ]
+        lines.append("  keeps {:>5} of {:>5}  channels".format(*reads["channels"]))
     packages = summary["optional_packages"]
     loaded = [f"{name} ({PURPOSE[name]})" for name in packages["loaded"]]
     lines.append(f"  optional packages loaded: {', '.join(loaded) or 'none'}")
@@ -142,17 +147,6 @@ def duration(seconds: float) -> str:
         if seconds >= 2 * size:
             return f"{seconds / size:.0f} {unit}"
     return f"{seconds:.0f} s"
-
-
-def _read_lines(reads: dict[str, Any]) -> list[str]:
-    """Format how many files, channels and tiles are read, of how many."""
-    rows = [*reads["files"], {**reads["total"], "what": "all files"}]
-    lines = [
-        f"  reads {row['read']:>5} of {row['of']:>5}  {row['what']:34} {_size(row['bytes_read'], row['bytes_of'])}"
-        for row in rows
-    ]
-    read, of = reads["channels"]
-    return [*lines, f"  keeps {read:>5} of {of:>5}  channels"]
 
 
 def _size(read: int, of: int) -> str:

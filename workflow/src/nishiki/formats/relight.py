@@ -22,7 +22,7 @@ import numpy as np
 
 from nishiki.formats.files import Refused, expect_bound, expect_memory, json_object, read_bytes, read_text
 from nishiki.formats.legacy_rti import LARGEST_ORDER, hemispherical_harmonics
-from nishiki.formats.relight_planes import REMEDY, has_planes, read_plane, within
+from nishiki.formats.relight_planes import ALL_PLANES, REMEDY, read_plane, within
 from nishiki.threads import strips
 
 INFO = "info.json"
@@ -107,7 +107,8 @@ def _terms(space: str, planes: int) -> int:
 
 def is_relight_folder(folder: Path) -> bool:
     """Check whether a folder holds a relightable image: `info.json` and its first plane."""
-    return (folder / INFO).is_file() and has_planes(folder)
+    first = [f"plane_0{end}" for end in (".jpg", ".dzi", ".tzi")]
+    return (folder / INFO).is_file() and any((folder / name).is_file() for name in (*first, ALL_PLANES))
 
 
 def open_relight(folder: Path) -> RelightFolder:

@@ -31,12 +31,6 @@ LEAST_TILE = 16  # pixels
 REMEDY = "Fit it again with relight as ptm, hsh, rbf or bilinear, or convert the photographs"
 
 
-def has_planes(folder: Path) -> bool:
-    """Check whether the first plane lies in a folder, in one of the supported layouts."""
-    first = [f"plane_0{end}" for end in (".jpg", ".dzi", ".tzi")]
-    return any((folder / name).is_file() for name in (*first, ALL_PLANES))
-
-
 def within(folder: Path, name: str) -> Path:
     """Return the path of a file of the folder. Refused where it is a link elsewhere."""
     if leads_out(folder / name, folder):

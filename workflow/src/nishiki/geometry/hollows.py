@@ -204,23 +204,12 @@ def close_region(region: np.ndarray, near, rounds: int = 6, rim: int = 2) -> np.
     return region
 
 
-def profile_of(region: np.ndarray, near) -> np.ndarray:
-    """Compute a depth profile (v,) of a region: 0 at its border and outside, 1 at its deepest.
-
-    It is the root of the solution of Poisson's equation, which grows with the distance to the border.
-    """
-    from scipy.sparse import eye
-    from scipy.sparse.linalg import spsolve
-
-    profile = np.zeros(len(region))
-    inner = (eye(len(region)) - near).tocsr()[region][:, region]
-    profile[region] = np.maximum(spsolve(inner.tocsc(), np.ones(int(region.sum()))), 0)
-    return np.sqrt(profile / max(profile.max(), 1e-12))
-
-
 @dataclass(frozen=True)
 class Hollow:
-    """A region (v,) bool that may be sunk, its `profile_of` (v,), and the unit vector along which it sinks."""
+    """A region (v,) bool that may be sunk, its depth profile (v,), and the unit vector along which it sinks.
+
+    The profile is 0 at the border of the region and outside, 1 at its deepest.
+    """
 
     region: np.ndarray
     profile: np.ndarray
@@ -229,8 +218,15 @@ class Hollow:
     @classmethod
     def of(cls, mesh: Mesh, region: np.ndarray) -> "Hollow":
         """Make a hollow that sinks along the mean of the region's inward normals."""
+        from scipy.sparse import eye
+        from scipy.sparse.linalg import spsolve
+
         direction = -mesh.normals[region].sum(axis=0).astype(np.float64)
-        profile = profile_of(region, neighbourhoods(mesh))
+        # the root of the solution of Poisson's equation, which grows with the distance to the border
+        profile = np.zeros(len(region))
+        inner = (eye(len(region)) - neighbourhoods(mesh)).tocsr()[region][:, region]
+        profile[region] = np.maximum(spsolve(inner.tocsc(), np.ones(int(region.sum()))), 0)
+        profile = np.sqrt(profile / max(profile.max(), 1e-12))
         return cls(region, profile, direction / max(np.linalg.norm(direction), 1e-12))
 
     def sunk(self, mesh: Mesh, part: float, steepness: float) -> Mesh:

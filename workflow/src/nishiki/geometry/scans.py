@@ -271,7 +271,15 @@ def register(scans: list[np.ndarray], *, overlap: float = 0.5) -> Registered:
                 )
         motions[index] = motion
         order.append(index)
-    residuals = _together(clouds, motions, overlap)
+    # align each scan to all others in turn, the first held
+    residuals = np.zeros(len(clouds))
+    for _ in range(3 if len(clouds) > 1 else 0):
+        for index in range(len(clouds)):
+            target = _join_clouds(clouds, motions, without=index)
+            motion, residuals[index] = align(
+                clouds[index], target, motions[index], overlap=overlap, steps=0 if index == 0 else 15
+            )
+            motions[index] = motion
     return Registered(tuple(motions[i] for i in range(len(scans))), residuals, tuple(order), tuple(searched))
 
 
@@ -282,19 +290,6 @@ def _join_clouds(clouds: list[Cloud], motions: dict[int, Motion], without: int |
         np.concatenate([clouds[i].normals @ motions[i].rotation.T for i in chosen]),
         float(np.median([clouds[i].spacing for i in chosen])),
     )
-
-
-def _together(clouds: list[Cloud], motions: dict[int, Motion], overlap: float) -> np.ndarray:
-    """Align each scan to all others in turn, the first held; change motions, return the residuals."""
-    residuals = np.zeros(len(clouds))
-    for _ in range(3 if len(clouds) > 1 else 0):
-        for index in range(len(clouds)):
-            target = _join_clouds(clouds, motions, without=index)
-            motion, residuals[index] = align(
-                clouds[index], target, motions[index], overlap=overlap, steps=0 if index == 0 else 15
-            )
-            motions[index] = motion
-    return residuals
 
 
 def _search(cloud: Cloud, target: Cloud, overlap: float) -> tuple[Motion, float]:

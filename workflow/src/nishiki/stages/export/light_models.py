@@ -16,6 +16,7 @@ import numpy as np
 
 from nishiki.formats.legacy_rti import hemispherical_harmonics
 from nishiki.formats.relight import bilinear_weights, gaussian_weights, ptm_weights
+from nishiki.formats.textured_surface import quantise
 from nishiki.photometric.light_selection import distinct_sets
 
 RIDGES = (0.0, 1e-4, 1e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0)
@@ -121,7 +122,7 @@ class PrincipalModel(TabulatedModel):
     def of(cls, lights: np.ndarray, values: np.ndarray, valid: np.ndarray, planes: int) -> "PrincipalModel":
         """Compute components of sample pixels (lights, 3, n) at which all lights are valid, or of all without any."""
         rows = whole_pixels(values, valid, planes)
-        mean_code = coded_mean(rows)
+        mean_code = quantise(rows.mean(axis=0))
         components = principal_components((rows - mean_code / 255).reshape(len(rows), -1), planes)
         codes, span = coded_components(components.reshape(-1, *mean_code.shape))
         return cls(mean_code, codes, span, lights, chosen_width(lights, values, valid))
@@ -155,7 +156,7 @@ class GridModel(TabulatedModel):
         between = grid_weights(lights)
         metric = np.linalg.cholesky(between.T @ between + NODES * np.eye(between.shape[1]))
         rows = whole_pixels(values, valid, planes)
-        mean_code = coded_mean(rows)
+        mean_code = quantise(rows.mean(axis=0))
         seen = np.einsum("ngk,gh->nhk", rows - mean_code / 255, metric, optimize=True)
         components = principal_components(seen.reshape(len(seen), -1), planes).reshape(-1, *mean_code.shape)
         codes, span = coded_components(np.einsum("phk,hg->pgk", components, np.linalg.inv(metric), optimize=True))
@@ -186,11 +187,6 @@ def whole_pixels(values: np.ndarray, valid: np.ndarray, planes: int) -> np.ndarr
     """Select values (n, directions, 3) of the pixels where all lights are valid; of all pixels if these are too few."""
     whole = valid.all(axis=0)
     return (values[..., whole] if whole.sum() > planes else values).transpose(2, 0, 1).astype(np.float64)
-
-
-def coded_mean(rows: np.ndarray) -> np.ndarray:
-    """Compute the mean (directions, 3) uint8 of values (n, directions, 3)."""
-    return np.rint(255 * np.clip(rows.mean(axis=0), 0, 1)).astype(np.uint8)
 
 
 def principal_components(rows: np.ndarray, planes: int) -> np.ndarray:

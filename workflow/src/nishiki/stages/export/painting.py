@@ -144,7 +144,6 @@ def format_stamp(context: Context) -> str:
 
 
 VERTEX = np.dtype([("place", "<f4", 3), ("normal", "<f4", 3), ("colour", "u1", 3)])
-FACE = np.dtype([("count", "u1"), ("corner", "<i4", 3)])
 
 
 def write_height(context: Context, scene: ExportedScene) -> dict:
@@ -163,8 +162,8 @@ def write_height(context: Context, scene: ExportedScene) -> dict:
         pitch_mm=scene.pitch_mm,
         nodata="nan",
     )
-    step, vertices, faces = write_ply(context, scene)
-    return {"pixels_a_vertex": step * step, "vertices": vertices, "faces": faces}
+    step, places, triangles = write_ply(context, scene)
+    return {"pixels_a_vertex": step * step, "vertices": places, "faces": triangles}
 
 
 def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
@@ -195,9 +194,7 @@ def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
             points["colour"] = np.floor(255 * srgb_encode(relief.colours) + 0.5)
             file.write(points.tobytes())
         for relief in reliefs(scene, most, colours=None):
-            faces = np.empty(len(relief.triangles), FACE)
-            faces["count"], faces["corner"] = 3, relief.triangles
-            file.write(faces.tobytes())
+            file.write(faces(relief.triangles))
     return step, counted, corners
 
 

@@ -97,7 +97,7 @@ def decoder_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
 
 
 def coded_arrays(coded: CodedReader) -> dict[str, np.ndarray]:
-    """Return the index of the streams, start states of the coder, wavelets and transforms along the views."""
+    """Return the index of the streams, start states of the coder, a level of synthesis per length, view transforms."""
     extents = [extent.row_of_numbers() for extent in coded.extents]
     lengths = [coded.stream_bytes(tile) for tile in range(coded.tiles)]
     arrays = {"extents": np.array(extents, np.uint16), "lengths": np.array(lengths, np.uint32)}
@@ -106,7 +106,16 @@ def coded_arrays(coded: CodedReader) -> dict[str, np.ndarray]:
             arrays[f"{name}/chance"] = model.chance.astype(np.uint32)
             arrays[f"{name}/seen"] = model.seen.astype(np.uint8)
             arrays[f"{name}/weights"] = model.weights.astype(np.int32)
-    return arrays | wavelet_arrays(coded)
+    design = coded.design
+    used = [extent for extent in coded.extents if extent.length]
+    arrays["along/lights"] = view_matrix(design.light_transform, design.lights).astype(np.float32)
+    for length in sorted({extent.length for extent in used}):
+        arrays[f"along/views/{length}"] = view_matrix(design.view_transform, length).astype(np.float32)
+    for extent in used:
+        arrays |= plane_arrays("plane", design.plane(extent))
+        if design.model:
+            arrays |= plane_arrays("parameter_plane", design.parameter_plane(extent))
+    return arrays
 
 
 def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
@@ -130,20 +139,6 @@ def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
         "chart_grid": atlas.chart_grid.astype(np.int32),
         "cells": atlas.cells.astype(np.int32),
     }
-
-
-def wavelet_arrays(coded: CodedReader) -> dict[str, np.ndarray]:
-    """Return one level of synthesis per length in use, lengths of the basis vectors, transforms along the views."""
-    design = coded.design
-    extents = [extent for extent in coded.extents if extent.length]
-    arrays = {"along/lights": view_matrix(design.light_transform, design.lights).astype(np.float32)}
-    for length in sorted({extent.length for extent in extents}):
-        arrays[f"along/views/{length}"] = view_matrix(design.view_transform, length).astype(np.float32)
-    for extent in extents:
-        arrays |= plane_arrays("plane", design.plane(extent))
-        if design.model:
-            arrays |= plane_arrays("parameter_plane", design.parameter_plane(extent))
-    return arrays
 
 
 def plane_arrays(name: str, plane: PlaneTransform) -> dict[str, np.ndarray]:

@@ -211,17 +211,6 @@ def read_records(maps: PaintingMaps, rows: slice) -> np.ndarray:
     return np.concatenate([values, regions[..., None].astype(np.float32)], axis=-1)
 
 
-def sample_records(maps: PaintingMaps, band_rows: int) -> np.ndarray:
-    """Return (n, fields) records of known pixels, evenly spread."""
-    rows, columns = maps.shape
-    step = max(1, round(np.sqrt(rows * columns / SAMPLES)))
-    taken = []
-    for band in strips(rows, band_rows):
-        taken.append(read_records(maps, band)[-band.start % step :: step, ::step].copy())  # a view would keep the band
-    values = np.concatenate(taken).reshape(-1, taken[0].shape[-1])
-    return values[values[:, 0] > 0]
-
-
 @dataclass(frozen=True)
 class PaintingCode:
     """Codes of the planes of a painting, in the order in which a tile holds them: normal, colour, body shading."""
@@ -234,7 +223,14 @@ class PaintingCode:
     @classmethod
     def of(cls, maps: PaintingMaps, band_rows: int, steps: Steps) -> "PaintingCode":
         """Fit the codes to a sample of the maps."""
-        values = sample_records(maps, band_rows)
+        rows, columns = maps.shape
+        step = max(1, round(np.sqrt(rows * columns / SAMPLES)))
+        taken = []
+        for band in strips(rows, band_rows):
+            # a copy, as a view would keep the band
+            taken.append(read_records(maps, band)[-band.start % step :: step, ::step].copy())
+        values = np.concatenate(taken).reshape(-1, taken[0].shape[-1])
+        values = values[values[:, 0] > 0]
         channels = values.shape[1] - 5 - maps.terms
         matrices = colour_matrices(maps.basis, np.linalg.inv(srgb_matrix()))
         shading = None
