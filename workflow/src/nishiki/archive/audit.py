@@ -97,7 +97,16 @@ def survey_artifact(tree: Tree, below: str = "", *, name: str | None = None) -> 
         return survey
     _check_names(survey, manifest, name or survey.folder.name)
     _check_files(survey, manifest, listing)
-    _note_upstream(survey, manifest)
+    # names of upstream artifacts are checked, as they become paths
+    for stage, entry in manifest["upstream"].items():
+        key, digest = entry.get("key", ""), entry.get("digest")
+        named = key == "" if stage == CAPTURE else UPSTREAM.fullmatch(stage) and KEY.fullmatch(str(key))
+        if named and is_digest(digest):
+            survey.upstream[stage] = (key, digest)
+        else:
+            survey.add(MANIFEST, "damaged", f"does not name an upstream artifact: {stage} {key}")
+    if not manifest["upstream"]:
+        survey.add(MANIFEST, "damaged", "names neither a capture nor an upstream artifact")
     return survey
 
 
@@ -144,19 +153,6 @@ def _check_names(survey: Survey, manifest: dict[str, Any], name: str) -> None:
         return
     if key != survey.key:
         survey.add(MANIFEST, "wrong-key", f"says key {survey.key}; its settings and upstream artifacts give {key}")
-
-
-def _note_upstream(survey: Survey, manifest: dict[str, Any]) -> None:
-    """Record the upstream artifacts after a check of their names, which become paths."""
-    for stage, entry in manifest["upstream"].items():
-        key, digest = entry.get("key", ""), entry.get("digest")
-        named = key == "" if stage == CAPTURE else UPSTREAM.fullmatch(stage) and KEY.fullmatch(str(key))
-        if named and is_digest(digest):
-            survey.upstream[stage] = (key, digest)
-        else:
-            survey.add(MANIFEST, "damaged", f"does not name an upstream artifact: {stage} {key}")
-    if not manifest["upstream"]:
-        survey.add(MANIFEST, "damaged", "names neither a capture nor an upstream artifact")
 
 
 def _check_files(survey: Survey, manifest: dict[str, Any], listing: FolderContents) -> None:

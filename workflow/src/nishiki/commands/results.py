@@ -148,13 +148,9 @@ def _one(named: str, configfile: str | None, where: tuple, gone: tuple[str, ...]
     status = call_engine(flow, options, configfile=configfile, gone=gone)
     if status or LOOKS_ONLY & set(rest):
         return 1 if status else 0
-    return tell_result(Path(target))
-
-
-def tell_result(path: Path) -> int:
-    """Print the advice of a finished sweep and the place of its page; 1 where a repeat gave other bytes."""
+    path = Path(target)
     content = json.loads(path.read_text(encoding="utf-8"))
-    status = 0
+    status = 0  # 1 where a repeat gave other bytes
     for scene in content["scenes"]:
         for measure, lines in zip(scene["measures"], scene["advice"], strict=True):
             print(f"{scene['scene']}, {measure['label']}:")

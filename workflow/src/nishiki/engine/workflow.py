@@ -221,7 +221,14 @@ class Workflow(Scheduling):
         self.plans: Mapping[str, Plan] = plans
         self.refused: dict[str, str] = {}
         if self.project.configuration.sweep:
-            self._plan_sweep(self.project.configuration.sweep)
+            # a scene's own plan is that of its first variant, the scene as it is configured
+            self.sweep = plan_sweep(self.project.configuration.sweep, self.project, self._facts)
+            self.plans = {swept.scene: swept.variants[0].plan for swept in self.sweep.scenes}
+            for swept in self.sweep.scenes:
+                for variant in swept.variants:
+                    self._swept |= {
+                        (swept.scene, name, planned.key): planned for name, planned in variant.plan.stages.items()
+                    }
         elif leave_out_refused:
             self.refused = plans.take_out_refused()
             if not plans:
@@ -241,16 +248,6 @@ class Workflow(Scheduling):
         if formats := self.project.configuration.exports.get(name):
             scene = scene_with_exports(scene, facts.geometry, formats)
         return make_plan(scene, facts, {field: self.plans[scene_of_field(name, field)] for field in facts.fields})
-
-    def _plan_sweep(self, named: str) -> None:
-        """Plan all variants; a scene's own plan is that of its first variant, the scene as it is configured."""
-        self.sweep = plan_sweep(named, self.project, self._facts)
-        self.plans = {swept.scene: swept.variants[0].plan for swept in self.sweep.scenes}
-        for swept in self.sweep.scenes:
-            for variant in swept.variants:
-                self._swept |= {
-                    (swept.scene, name, planned.key): planned for name, planned in variant.plan.stages.items()
-                }
 
     def can_be_planned(self, scene: str) -> bool:
         """Return whether a lazy plan can be made; asked only where scenes that cannot are to be left out."""

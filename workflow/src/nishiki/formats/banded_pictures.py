@@ -53,9 +53,22 @@ class EnviWriter:
     ) -> None:
         self._shape = (*shape, len(wavelengths_nm))
         self._row = 0
-        path.with_suffix(".hdr").write_text(
-            envi_header(self._shape, wavelengths_nm, description, pitch_mm), encoding="ascii", errors="replace"
-        )
+        rows, columns, bands = self._shape
+        lines = [
+            "ENVI",
+            f"description = {{{description.translate(str.maketrans('{}', '()'))}}}",
+            *(f"samples = {columns}", f"lines = {rows}", f"bands = {bands}", "header offset = 0"),
+            *("file type = ENVI Standard", "data type = 4", "interleave = bil", "byte order = 0"),
+            "wavelength units = Nanometers",
+            f"wavelength = {{{', '.join(f'{float(value):g}' for value in wavelengths_nm)}}}",
+            "data ignore value = 0",
+        ]
+        if pitch_mm:
+            size = f"{pitch_mm:.9g}, {pitch_mm:.9g}"
+            left, top = -columns * pitch_mm / 2, rows * pitch_mm / 2  # of pixel (1, 1), as in our TIFF files
+            lines.append(f"pixel size = {{{size}, units=mm}}")
+            lines.append(f"map info = {{Arbitrary, 1, 1, {left:.9g}, {top:.9g}, {size}, units=mm}}")
+        path.with_suffix(".hdr").write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
         self._file = open(path, "wb")
 
     def __enter__(self) -> "EnviWriter":
@@ -72,28 +85,6 @@ class EnviWriter:
         """Write the next rows (r, columns, bands)."""
         self._file.write(np.ascontiguousarray(rows.transpose(0, 2, 1), "<f4").tobytes())
         self._row += len(rows)
-
-
-def envi_header(
-    shape: tuple[int, int, int], wavelengths_nm: Sequence[float] | np.ndarray, description: str, pitch_mm: float | None
-) -> str:
-    """Compose the text of an ENVI header."""
-    rows, columns, bands = shape
-    lines = [
-        "ENVI",
-        f"description = {{{description.translate(str.maketrans('{}', '()'))}}}",
-        *(f"samples = {columns}", f"lines = {rows}", f"bands = {bands}", "header offset = 0"),
-        *("file type = ENVI Standard", "data type = 4", "interleave = bil", "byte order = 0"),
-        "wavelength units = Nanometers",
-        f"wavelength = {{{', '.join(f'{float(value):g}' for value in wavelengths_nm)}}}",
-        "data ignore value = 0",
-    ]
-    if pitch_mm:
-        size = f"{pitch_mm:.9g}, {pitch_mm:.9g}"
-        left, top = -columns * pitch_mm / 2, rows * pitch_mm / 2  # of pixel (1, 1), as in our TIFF files
-        lines.append(f"pixel size = {{{size}, units=mm}}")
-        lines.append(f"map info = {{Arbitrary, 1, 1, {left:.9g}, {top:.9g}, {size}, units=mm}}")
-    return "\n".join(lines) + "\n"
 
 
 CLASSIC_LIMIT = 3 << 30

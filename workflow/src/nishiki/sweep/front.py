@@ -118,7 +118,14 @@ def plot(
         drawing.line(x(point.low), at, x(point.high), at, colour)
         draw_sign(drawing, point.kind, across, at, filled=number in best, tip=point.tip)
     draw_names(drawing, points, x, y)
-    draw_legend(drawing, {point.kind for point in points})
+    kinds = {point.kind for point in points}
+    at = LEFT + 4.0
+    for kind in [kind for kind in MEANINGS if kind in kinds]:
+        draw_sign(drawing, kind, at, HEIGHT - 14)
+        drawing.text(at + 11, HEIGHT - 10, MEANINGS[kind], size=11)
+        at += 20 + 5.2 * len(MEANINGS[kind])
+    drawing.path(f"M{at:.1f} {HEIGHT - 14}h22", stroke=SOFT, width=1.4, dashed=True)
+    drawing.text(at + 28, HEIGHT - 10, "front; hollow: off it", size=11)
     return drawing.finish()
 
 
@@ -155,17 +162,6 @@ def draw_names(drawing: Drawing, points: Sequence[VariantPoint], x: ChartAxis, y
                 boxes.append(box)
                 drawing.text(right, up, point.name, anchor=anchor, size=11)
                 break
-
-
-def draw_legend(drawing: Drawing, kinds: set[str]) -> None:
-    """Draw the meaning of the signs below the axis."""
-    at = LEFT + 4.0
-    for kind in [kind for kind in MEANINGS if kind in kinds]:
-        draw_sign(drawing, kind, at, HEIGHT - 14)
-        drawing.text(at + 11, HEIGHT - 10, MEANINGS[kind], size=11)
-        at += 20 + 5.2 * len(MEANINGS[kind])
-    drawing.path(f"M{at:.1f} {HEIGHT - 14}h22", stroke=SOFT, width=1.4, dashed=True)
-    drawing.text(at + 28, HEIGHT - 10, "front; hollow: off it", size=11)
 
 
 WORTH_SAVING = 0.85

@@ -62,7 +62,11 @@ class SimulatedGrbl(SimulatedLine):
         if self.needs_reset:
             return []  # after a critical alarm nothing is answered before a reset
         if command == "$H":
-            return self._home()
+            if not self.switch_works:
+                return ["ALARM:9", *self.greet()]  # it restarts by itself
+            self.start_position = self.end_position = dict.fromkeys("XYZ", -PULL_OFF)
+            self.locked = False
+            return ["ok"]
         if command == "$X":
             self.locked = False
             return ["[MSG:Caution: Unlocked]", "ok"]
@@ -78,13 +82,6 @@ class SimulatedGrbl(SimulatedLine):
         state = "Alarm" if self.locked else "Door:0" if self.door_open else state
         position = ",".join(f"{value:.3f}" for value in self.position.values())
         return f"<{state}|MPos:{position}|FS:0,0>"
-
-    def _home(self) -> list[str]:
-        if not self.switch_works:
-            return ["ALARM:9", *self.greet()]  # it restarts by itself
-        self.start_position = self.end_position = dict.fromkeys("XYZ", -PULL_OFF)
-        self.locked = False
-        return ["ok"]
 
     def _move(self, axis: str, target: float) -> list[str]:
         if not -self.travel <= target <= 0:

@@ -299,31 +299,6 @@ def show_in(look: ObjectLook, name: str) -> Shown:
     return draw
 
 
-def against_photographs(
-    context: Context, look: ObjectLook, asked: Mapping[str, Shown]
-) -> dict[str, dict[str, dict[str, float]]]:
-    """Compare linear values of visible points with photographs: PSNR of held-out views and of some others."""
-    decoded, settings, count = look.decoded, context.settings, len(look.decoded.views)
-    left_out = decoded.numbers(settings.hold_out)
-    seen = [view for view in range(count) if view not in left_out]
-    spread = [seen[k * len(seen) // settings.views] for k in range(min(settings.views, len(seen)))]
-    photographs = Photographs(context.inputs)
-    result: dict[str, dict[str, dict[str, float]]] = {name: {} for name in asked}
-    for group, views in (("fitted", spread), ("check", sorted(left_out))):
-        if not views:
-            continue
-        found = {name: CodedErrors(len(views)) for name in asked}
-        for number, view in enumerate(views):
-            linear, valid = photographs.read(view, 0)
-            points = SeenPoints.of(look, view)
-            compared = encode(three_channels(linear)[points.covered], decoded.encoding)
-            for name, shown in asked.items():
-                found[name].add(number, encode(shown(points), decoded.encoding), compared, valid[points.covered])
-        for name, each in found.items():
-            result[name][group] = each.decibels()
-    return result
-
-
 class ObjectSurface(ExportedSurface):
     """Mesh, look and errors common to formats of scenes."""
 
@@ -346,7 +321,25 @@ class ObjectSurface(ExportedSurface):
 
     def compare(self, shown: Mapping[str, Shown]) -> dict[str, dict]:
         """Compute the PSNR of displayed values against photographs."""
-        return against_photographs(self.context, self.look, shown)
+        decoded, settings, count = self.look.decoded, self.context.settings, len(self.look.decoded.views)
+        left_out = decoded.numbers(settings.hold_out)
+        seen = [view for view in range(count) if view not in left_out]
+        spread = [seen[k * len(seen) // settings.views] for k in range(min(settings.views, len(seen)))]
+        photographs = Photographs(self.context.inputs)
+        result: dict[str, dict[str, dict[str, float]]] = {name: {} for name in shown}
+        for group, views in (("fitted", spread), ("check", sorted(left_out))):
+            if not views:
+                continue
+            found = {name: CodedErrors(len(views)) for name in shown}
+            for number, view in enumerate(views):
+                linear, valid = photographs.read(view, 0)
+                points = SeenPoints.of(self.look, view)
+                compared = encode(three_channels(linear)[points.covered], decoded.encoding)
+                for name, draw in shown.items():
+                    found[name].add(number, encode(draw(points), decoded.encoding), compared, valid[points.covered])
+            for name, each in found.items():
+                result[name][group] = each.decibels()
+        return result
 
     @property
     def unit(self) -> str:
