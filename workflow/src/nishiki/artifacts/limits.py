@@ -141,11 +141,6 @@ def _leaves(value: Any) -> Iterable[Any]:
         yield value
 
 
-def limit_flagged(name: str, meaning: str, total: str, **rest: Any) -> Limit:
-    """Limit on the share of a total that carries a flag."""
-    return Limit(f"{name}_share", meaning, share(f"flagged_{name}", total), **rest)
-
-
 def limit_checks(
     limits: Iterable[Limit], diagnostics: Mapping[str, Any], allow: Iterable[str] = ()
 ) -> list[LimitCheck]:

@@ -15,12 +15,14 @@ if TYPE_CHECKING:
     from nishiki.stages.base import SceneFacts
 
 
-def planned_workflow(configfile: str, scene: str | None = None, **how) -> "Workflow":
-    """Return the plans of a configuration, or of one of its scenes."""
+def planned_workflow(configfile: str, scene: str | None = None, changes: dict | None = None, **how) -> "Workflow":
+    """Return the plans of a configuration with these changes of its keys, or of one of its scenes."""
     from nishiki.engine.project import load_yaml
     from nishiki.engine.workflow import Workflow
 
-    return Workflow(load_yaml(Path(configfile)), only=[scene] if scene else (), file=configfile, **how)
+    return Workflow(
+        load_yaml(Path(configfile)) | (changes or {}), only=[scene] if scene else (), file=configfile, **how
+    )
 
 
 @command("plan", "plan altarpiece")

@@ -53,14 +53,11 @@ See docs/stages/export.md."""
 def export(scene, formats, output, configfile, cores, gone) -> int:
     """Write a scene's results in formats of other programs; stages that these need run first."""
     from nishiki.commands.engine import call_engine
-    from nishiki.engine.project import load_yaml
-    from nishiki.engine.workflow import Workflow
 
     if output and Path(output).exists():
         raise UserError(f"--output {output}: exists already. Remedy: name a folder that does not")
-    values = load_yaml(Path(configfile))
     asked = {scene: formats}
-    flow = Workflow({**values, "exports": asked}, only=[scene], file=configfile)
+    flow = planned_workflow(configfile, scene, {"exports": asked})
     expect_packages(flow)
     stage = next(name for name in flow.plans[scene].stages if name.endswith("export"))
     target = flow.artifact(scene, stage)
@@ -127,14 +124,11 @@ def sweep(words, configfile, cores, profile, gone) -> int:
 def _one(named: str, configfile: str | None, where: tuple, gone: tuple[str, ...], rest: tuple[str, ...]) -> int:
     from nishiki.commands.engine import LOOKS_ONLY, call_engine
     from nishiki.engine.plan import configuration_of
-    from nishiki.engine.project import load_yaml
-    from nishiki.engine.workflow import Workflow
 
     path = Path(named)
     given = configuration_of(path) if path.suffix in (".yaml", ".yml") else None
     configfile = configfile or given or "config/config.yaml"
-    values = load_yaml(Path(configfile))
-    flow = Workflow({**values, "sweep": named}, file=configfile)
+    flow = planned_workflow(configfile, changes={"sweep": named})
     planned = require(flow.sweep)
     for swept in planned.scenes:
         timed = sum(len(paths) for variant in swept.variants for paths in flow.timings(swept, variant).values())

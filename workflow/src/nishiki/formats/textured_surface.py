@@ -133,13 +133,10 @@ class Glb:
 
     def texture(self, picture: bytes, *, mime: str) -> int:
         """Add a texture of an encoded picture, not repeated at its edges."""
-        return self._texture(bufferView=self.view(picture), mimeType=mime)
+        return self.texture_of(bufferView=self.view(picture), mimeType=mime)
 
-    def texture_beside(self, uri: str) -> int:
-        """Add a texture stored as a file beside this one."""
-        return self._texture(uri=uri)
-
-    def _texture(self, **image: Any) -> int:
+    def texture_of(self, **image: Any) -> int:
+        """Add a texture of an image: a view of this file, or `uri`, a file beside it."""
         if not self.content.get("samplers"):
             self.add("samplers", magFilter=9729, minFilter=9987, wrapS=33071, wrapT=33071)
         return self.add("textures", sampler=0, source=self.add("images", **image))

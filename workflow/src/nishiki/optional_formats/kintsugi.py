@@ -90,7 +90,7 @@ def write_kintsugi(context: Context, surface: Any) -> dict:
         return name
 
     def texture(name: str, picture: np.ndarray) -> int:
-        return glb.texture_beside(put(f"{name}.png", png_bytes(picture)))
+        return glb.texture_of(uri=put(f"{name}.png", png_bytes(picture)))
 
     normal = srgb_encode(look.specular[..., None] / 255 * look.normal_reflectance * np.ones(3))
     weights = [texture(f"weights{b:02}{b + 3:02}", basis.weights[..., b : b + 4]) for b in range(0, BASES, 4)]

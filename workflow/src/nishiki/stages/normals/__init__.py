@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at, limit_flagged, share
+from nishiki.artifacts.limits import Limit, at, share
 from nishiki.artifacts.outputs import Output
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.stages.base import ARRAYS, Cost, Lights, Stage, digest_of
@@ -30,7 +30,11 @@ LIMITS = (
         why="captures gave 0.4 to 13; a random normal is wrong by 57 degrees on average",
     ),
     *(
-        limit_flagged(name, f"share of the object's pixels flagged {words}", "object_pixels")
+        Limit(
+            f"{name}_share",
+            f"share of the object's pixels flagged {words}",
+            share(f"flagged_{name}", "object_pixels"),
+        )
         for name, words in (
             ("too_few_lights", "too few lights"),
             ("coplanar_lights", "lights in one plane"),
