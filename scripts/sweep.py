@@ -34,7 +34,23 @@ def main() -> None:
     arguments = parser.parse_args()
     try:
         flow = Workflow(json.loads(arguments.configuration))
-        content = content_of(flow)
+        sweep = require(flow.sweep)
+        scenes = []
+        for swept in sweep.scenes:
+            measures, errors = errors_of(flow, swept)
+            rows = [row_of(flow, swept, variant, errors[variant.name]) for variant in swept.variants]
+            scenes.append(
+                scene_content(
+                    swept.scene,
+                    rows,
+                    measures,
+                    axis=sweep.settings.axis,
+                    counted=swept.counted,
+                    evaluation=swept.evaluation,
+                )
+            )
+        title = sweep.settings.title or f"Sweep {sweep.name}"
+        content = sweep_content(sweep.name, title, PROJECT_VERSION, sweep.settings, scenes)
     except UserError as error:
         raise SystemExit(f"nishiki sweep: {error}") from None
     folder = arguments.output.parent
@@ -42,27 +58,6 @@ def main() -> None:
     for name, text in files_of(content).items():
         put_file(folder / name, text)
     put_file(arguments.output, json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-
-
-def content_of(flow: Workflow) -> dict:
-    """Collect the content of the page."""
-    sweep = require(flow.sweep)
-    scenes = []
-    for swept in sweep.scenes:
-        measures, errors = errors_of(flow, swept)
-        rows = [row_of(flow, swept, variant, errors[variant.name]) for variant in swept.variants]
-        scenes.append(
-            scene_content(
-                swept.scene,
-                rows,
-                measures,
-                axis=sweep.settings.axis,
-                counted=swept.counted,
-                evaluation=swept.evaluation,
-            )
-        )
-    title = sweep.settings.title or f"Sweep {sweep.name}"
-    return sweep_content(sweep.name, title, PROJECT_VERSION, sweep.settings, scenes)
 
 
 def errors_of(flow: Workflow, swept: SceneSweep) -> tuple[list[MeasureSettings], dict[str, list[float]]]:

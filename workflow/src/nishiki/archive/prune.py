@@ -147,7 +147,15 @@ def decide(results: Path, planned: set[Place], *, unnamed: bool = False, hosts: 
             pruning.keep.append(Item(folder, "a scene that no given configuration names; --unnamed lists it"))
             continue
         _look_into(folder, folder.name in scenes, finished, pruning, set(hosts))
-    kept = _list_reasons_to_stay(finished, planned, _collect_published(results, scenes))
+    # the artifacts that the folders of published links name
+    published: set[Place] = set()
+    for scene in scenes:
+        try:
+            index = json.loads(FolderTree(results / scene / CURRENT).read(INDEX))
+            published |= {(scene, str(stage), str(entry["key"])) for stage, entry in index["artifacts"].items()}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            continue
+    kept = _list_reasons_to_stay(finished, planned, published)
     pruning.keep += [Item(item.folder, kept[item.folder], item.bytes) for item in finished if kept.get(item.folder)]
     unreferenced = [item for item in finished if item.folder not in kept]
     for item in unreferenced:
@@ -176,18 +184,6 @@ def _look_into(scene: Path, named: bool, finished: list[Finished], pruning: Prun
                 judge(inner, finished, pruning, hosts)
         else:
             pruning.left_alone.append(Item(folder, "no stage has this name"))
-
-
-def _collect_published(results: Path, scenes: set[str]) -> set[Place]:
-    """Collect the artifacts that the folders of published links name."""
-    published = set()
-    for scene in scenes:
-        try:
-            index = json.loads(FolderTree(results / scene / CURRENT).read(INDEX))
-            published |= {(scene, str(stage), str(entry["key"])) for stage, entry in index["artifacts"].items()}
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            continue
-    return published
 
 
 def _list_reasons_to_stay(finished: list[Finished], planned: set[Place], published: set[Place]) -> dict[Path, str]:

@@ -10,7 +10,7 @@ import shutil
 import stat
 import unicodedata
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path, PurePosixPath
@@ -238,12 +238,10 @@ def same_name(name: str) -> str:
 
 def leads_out(path: Path, folder: Path) -> bool:
     """Check whether a path, its links followed, lies outside a folder."""
-    try:
+    with suppress(ValueError):
         place, parts = str(folder), path.relative_to(folder).parts
         if ".." not in parts and not any(os.path.islink(place := os.path.join(place, part)) for part in parts):
             return False  # without links below the folder, which is quick to see
-    except ValueError:
-        pass
     try:
         return not path.resolve().is_relative_to(folder.resolve())
     except (OSError, RuntimeError):  # links in a circle

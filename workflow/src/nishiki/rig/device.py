@@ -10,7 +10,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Protocol
@@ -142,11 +142,9 @@ class Rig:
     def close(self) -> None:
         """Close every device, the lamps first, even where some no longer answer."""
         for device in (self.lamps, *self.axes.values(), *self.polarisers.values(), self.camera):
-            try:
+            with suppress(DeviceError):  # what cannot be reached any more needs no closing
                 if device is not None:
                     device.close()
-            except DeviceError:
-                pass  # what cannot be reached any more needs no closing
 
     def __enter__(self) -> "Rig":
         return self
@@ -264,10 +262,8 @@ class SerialLine:
 
     def close(self) -> None:
         """Close the port; a second call does nothing."""
-        try:
+        with suppress(OSError):  # the port has gone
             self.serial.close()
-        except OSError:
-            pass  # the port has gone
 
     def greeting(self, pattern: str, timeout_s: float) -> str:
         """Wait for the line that a device sends when it starts, and for the end of its greeting.

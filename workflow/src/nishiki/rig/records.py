@@ -346,7 +346,21 @@ def write_tables(
     """
     values = capture_settings(plan, header)
     put_file(folder / "capture.yaml", settings_text(values))
-    put_file(folder / "frames.csv", _frames_csv(plan, frames, exposures))
+    columns = {
+        "dome": ["file", "role", "light"],
+        "turntable": ["file", "role", "view", "light", "polariser"],
+        "goniometer": ["file", "role", *ANGLE_COLUMNS],
+    }[plan.settings.kind]
+    if all(frame.file in exposures for frame in frames if frame.group != "dark"):
+        columns.append("exposure_s")
+    rows = [columns]
+    for frame in frames:
+        cells = {key: getattr(frame, key, "") for key in columns} | dict(
+            zip(ANGLE_COLUMNS, frame.angles_deg, strict=False)
+        )
+        cells["exposure_s"] = exposures.get(frame.file, "")
+        rows.append([f"{cells[key]:.10g}" if isinstance(cells[key], float) else cells[key] for key in columns])
+    put_file(folder / "frames.csv", table_text(rows))
     if plan.lights is not None:
         put_file(folder / "lights.lp", lights_text(plan.lights.names, plan.lights.vectors))
     for name in _texts(plan.settings.capture):
@@ -364,24 +378,6 @@ def refuse_unusable_settings(folder: Path) -> None:
     errors = [p for p in problems if p.severity == "error" and p not in later]
     if errors:
         raise UserError(f"plan: {CaptureError(errors)}\nRemedy: correct the plan's block 'capture', or its lights")
-
-
-def _frames_csv(plan: ReadPlan, frames: tuple[PlannedFrame, ...], exposures: Mapping[str, float]) -> str:
-    columns = {
-        "dome": ["file", "role", "light"],
-        "turntable": ["file", "role", "view", "light", "polariser"],
-        "goniometer": ["file", "role", *ANGLE_COLUMNS],
-    }[plan.settings.kind]
-    if all(frame.file in exposures for frame in frames if frame.group != "dark"):
-        columns.append("exposure_s")
-    rows = [columns]
-    for frame in frames:
-        cells = {key: getattr(frame, key, "") for key in columns} | dict(
-            zip(ANGLE_COLUMNS, frame.angles_deg, strict=False)
-        )
-        cells["exposure_s"] = exposures.get(frame.file, "")
-        rows.append([f"{cells[key]:.10g}" if isinstance(cells[key], float) else cells[key] for key in columns])
-    return table_text(rows)
 
 
 def _texts(value: Any) -> Iterator[str]:

@@ -84,7 +84,15 @@ def render(
 
     within: radians; the BRDF is evaluated once for the samples of a pixel whose frames differ by less, see `gather`.
     """
-    _check(scene, takes, lamps, supersampling)
+    if supersampling < 1:
+        raise UserError(f"supersampling: expected 1 or more, found {supersampling}")
+    needed = int(scene.material.max()) + 1
+    for take in takes:
+        if len(take.materials) < needed or len(take.lamps) != len(lamps):
+            raise UserError(
+                f"render: expected {needed} materials and {len(lamps)} lamps in every take, found "
+                f"{len(take.materials)} and {len(take.lamps)}"
+            )
     fine = scale_camera(camera, supersampling)
     linear = np.zeros((len(takes), camera.rows, camera.columns, 3), np.float32)
     coverage, cloth = np.zeros((2, camera.rows, camera.columns), np.float32)
@@ -109,18 +117,6 @@ def render(
     shadowed = tally.blocked / tally.reaching if tally.reaching > 0 else 0.0
     bent = tally.bent / max(1, tally.samples)
     return [ClothPicture(one, coverage, cloth, tally.samples, tally.evaluated, bent, shadowed) for one in linear]
-
-
-def _check(scene: ClothScene, takes: list[RenderVariant], lamps: list[Lamp], supersampling: int) -> None:
-    if supersampling < 1:
-        raise UserError(f"supersampling: expected 1 or more, found {supersampling}")
-    needed = int(scene.material.max()) + 1
-    for take in takes:
-        if len(take.materials) < needed or len(take.lamps) != len(lamps):
-            raise UserError(
-                f"render: expected {needed} materials and {len(lamps)} lamps in every take, found "
-                f"{len(take.materials)} and {len(take.lamps)}"
-            )
 
 
 def _add_lamps(sums, scene, takes, lamps, samples: Fragments, shadows: bool, tally: _Tally) -> None:
