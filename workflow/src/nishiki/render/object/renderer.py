@@ -375,12 +375,13 @@ class ObjectRenderer:
         linear = linear.reshape(*raster.triangle.shape, self.channels)
         covered = raster.triangle >= 0
         if shot.captured is None and self.pictures is not None:
-            shown = raster.triangle, raster.barycentric
+            at, away = prepared.pixels, np.zeros(covered.shape, bool)
+            shown = raster.triangle.reshape(-1)[at], raster.barycentric.reshape(-1, 2)[at]
             points, normals = (
                 interpolate(values, self.mesh.triangles, *shown) for values in (self.mesh.vertices, self.mesh.normals)
             )
             # where the normal is turned away from the camera the surface that shows is wrong
-            away = covered & (np.einsum("ijk,ijk->ij", shot.camera.centre - points, normals) <= 0)
+            away.reshape(-1)[at] = np.einsum("nk,nk->n", shot.camera.centre - points, normals) <= 0
             extend(linear, covered & ~away, rings=FOLD_PX, within=away)
             np.clip(linear, 0, highest * sum(abs(weight) for _, weight in shot.lights), out=linear)
         reached = extend(linear, covered, rings=self.rim)
