@@ -77,9 +77,23 @@ class SpecularHistogram:
         left out.
         """
         phi, residual, attenuation, sigma = np.broadcast_arrays(phi, residual, attenuation, sigma)
-        p, r, a, s = (np.ascontiguousarray(each, np.float64).ravel() for each in (phi, residual, attenuation, sigma))
+        flat = (np.ascontiguousarray(each, np.float64).ravel() for each in (phi, residual, attenuation, sigma))
+        phi, residual, attenuation, sigma = flat
         new = replace(self, weights=self.weights.copy(), values=self.values.copy(), rows=self.rows.copy())
-        _add_samples(p, r, a, s, self.value_unit, new.weights[region], new.values[region], new.rows[region])
+        # without those that are no number and those whose a^2 or a^2 z leaves float64
+        with np.errstate(all="ignore"):
+            w, z = attenuation**2, residual / attenuation
+            good = np.isfinite(phi + sigma + w * z + w) & (attenuation > 0) & (w > 0)
+        phi, sigma, w, z = (each[good] for each in (phi, sigma, w, z))
+        row = np.minimum((np.arcsinh(np.abs(phi) / PHI_UNIT) / _ROW_STEP).astype(int), ROWS - 1)
+        size = np.abs(z) / self.value_unit
+        place = np.floor((np.log10(np.where(size > 0, size, 1)) + DECADES) * PER_DECADE) + 1
+        column = _SIDE + np.where(size > 0, np.sign(z) * np.clip(place, 0, _SIDE), 0).astype(int)
+        cell, cells = row * COLUMNS + column, ROWS * COLUMNS
+        new.weights[region] += np.bincount(cell, w, cells).reshape(ROWS, COLUMNS)
+        new.values[region] += np.bincount(cell, w * z, cells).reshape(ROWS, COLUMNS)
+        for k, each in ((PHI2, w * phi**2), (SIGMA2, w * sigma**2), (COUNT, None), (ATTENUATION, w)):
+            new.rows[region][:, k] += np.bincount(row, each, ROWS)
         return new
 
     def profile(self, *, region=0, reject=6.0) -> SpecularProfile:
@@ -131,23 +145,6 @@ def unit_of(reflectances: Sequence[np.ndarray]) -> float:
     levels = np.concatenate([np.ravel(level[level > 0]) for level in reflectances]) if reflectances else np.empty(0)
     level = float(np.median(levels)) if levels.size else TYPICAL
     return 1.0 if LEVELS[0] <= level <= LEVELS[1] else float(10.0 ** np.round(np.log10(level / TYPICAL)))
-
-
-def _add_samples(phi, residual, attenuation, sigma, value_unit, weights, values, rows):
-    """Add samples (n,), but for those that are no number and those whose a^2 or a^2 z leaves float64."""
-    with np.errstate(all="ignore"):
-        w, z = attenuation**2, residual / attenuation
-        good = np.isfinite(phi + sigma + w * z + w) & (attenuation > 0) & (w > 0)
-    phi, sigma, w, z = (each[good] for each in (phi, sigma, w, z))
-    row = np.minimum((np.arcsinh(np.abs(phi) / PHI_UNIT) / _ROW_STEP).astype(int), ROWS - 1)
-    size = np.abs(z) / value_unit
-    place = np.floor((np.log10(np.where(size > 0, size, 1)) + DECADES) * PER_DECADE) + 1
-    column = _SIDE + np.where(size > 0, np.sign(z) * np.clip(place, 0, _SIDE), 0).astype(int)
-    cell, cells = row * COLUMNS + column, ROWS * COLUMNS
-    weights += np.bincount(cell, w, cells).reshape(ROWS, COLUMNS)
-    values += np.bincount(cell, w * z, cells).reshape(ROWS, COLUMNS)
-    for k, each in ((PHI2, w * phi**2), (SIGMA2, w * sigma**2), (COUNT, None), (ATTENUATION, w)):
-        rows[:, k] += np.bincount(row, each, ROWS)
 
 
 NODES_PER_UNIT = 1024  # of the table of the profile, per unit of chord

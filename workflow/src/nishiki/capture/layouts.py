@@ -104,20 +104,15 @@ def photographs_in(folder: Path) -> list[Path]:
     chosen = sorted(others, key=natural_key)
     raise_errors(problem for path in chosen for problem in source_problems(path, folder))
     if not chosen and not fitted and not tiled:
-        _refuse_unread(folder)
+        unread = [path.name for path in files_with(folder, UNREAD_SUFFIXES)]
+        if unread:
+            expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
+            found = f"{unread[0]} and {len(unread) - 1} more" if len(unread) > 1 else unread[0]
+            suffix = os.path.splitext(unread[0])[1]
+            remedy = f"Convert them to PNG without changing size or values (ImageMagick: mogrify -format png *{suffix})"
+            what = "these pictures are of a format that is not read"
+            refuse("image-unsupported", str(folder), what, expected=expected, found=found, remedy=remedy)
     return chosen
-
-
-def _refuse_unread(folder: Path) -> None:
-    """Raise CaptureError (image-unsupported) where a folder holds only pictures of unsupported formats."""
-    unread = [path.name for path in files_with(folder, UNREAD_SUFFIXES)]
-    if unread:
-        expected = "PNG, JPEG, TIFF, OpenEXR or camera raw"
-        found = f"{unread[0]} and {len(unread) - 1} more" if len(unread) > 1 else unread[0]
-        suffix = os.path.splitext(unread[0])[1]
-        remedy = f"Convert them to PNG without changing size or values (ImageMagick: mogrify -format png *{suffix})"
-        what = "these pictures are of a format that is not read"
-        refuse("image-unsupported", str(folder), what, expected=expected, found=found, remedy=remedy)
 
 
 def source_problems(path: Path, folder: Path) -> list[Problem]:

@@ -212,8 +212,7 @@ def board_sights(views: Views, boards: Detection) -> dict[str, Sight]:
     if missing:
         raise UserError(
             f"cameras: no board found in the picture of view {', '.join(missing[:8])}. Remedy: another picture of "
-            "these "
-            "views, with the board sharp and not glossy; or correspondences"
+            "these views, with the board sharp and not glossy; or correspondences"
         )
     return sights
 

@@ -89,8 +89,30 @@ def object_manifest(decoded: DecodedObject, *, without: frozenset[int]) -> dict:
 
 
 def decoder_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
-    """Return mesh and charts, and the arrays of what is coded on texels and as `pictures/`."""
-    arrays = {**surface_arrays(decoded), **coded_arrays(decoded.residual)}
+    """Return mesh and charts, and the arrays of what is coded on texels and as `pictures/`.
+
+    Vertices lie on their grid; each point of the charts has its vertex, chart and place; triangles have corners.
+    """
+    mesh, atlas = decoded.mesh, decoded.atlas
+    grid = np.round(mesh.vertices / mesh_step(mesh, list(decoded.cameras))).astype(np.int64)
+    lowest = grid.min(axis=0)
+    places = np.round(atlas.corners.astype(np.float64) * CHART_STEPS).astype(np.int64).reshape(-1, 2)
+    charts = np.repeat(atlas.chart.astype(np.int64), 3)
+    points, corners = np.unique(
+        np.column_stack([charts, mesh.triangles.reshape(-1).astype(np.int64), places]), axis=0, return_inverse=True
+    )
+    arrays = {
+        "lowest": lowest.astype(np.int32),
+        "vertices": smallest(grid - lowest),
+        "normals": np.rint(mesh.normals * NORMAL_STEPS).astype(np.int16),
+        "point_chart": points[:, 0].astype(np.int16),
+        "point_vertex": smallest(points[:, 1]),
+        "point_place": points[:, 2:].astype(np.int32),
+        "corners": smallest(corners.reshape(-1, 3)),
+        "chart_grid": atlas.chart_grid.astype(np.int32),
+        "cells": atlas.cells.astype(np.int32),
+        **coded_arrays(decoded.residual),
+    }
     if decoded.residual.pictures is not None:
         arrays |= {f"pictures/{name}": values for name, values in coded_arrays(decoded.residual.pictures).items()}
     return arrays
@@ -116,29 +138,6 @@ def coded_arrays(coded: CodedReader) -> dict[str, np.ndarray]:
         if design.model:
             arrays |= plane_arrays("parameter_plane", design.parameter_plane(extent))
     return arrays
-
-
-def surface_arrays(decoded: DecodedObject) -> dict[str, np.ndarray]:
-    """Encode vertices on their grid; points of the charts, each with its vertex, chart and place; triangle corners."""
-    mesh, atlas = decoded.mesh, decoded.atlas
-    grid = np.round(mesh.vertices / mesh_step(mesh, list(decoded.cameras))).astype(np.int64)
-    lowest = grid.min(axis=0)
-    places = np.round(atlas.corners.astype(np.float64) * CHART_STEPS).astype(np.int64).reshape(-1, 2)
-    charts = np.repeat(atlas.chart.astype(np.int64), 3)
-    points, corners = np.unique(
-        np.column_stack([charts, mesh.triangles.reshape(-1).astype(np.int64), places]), axis=0, return_inverse=True
-    )
-    return {
-        "lowest": lowest.astype(np.int32),
-        "vertices": smallest(grid - lowest),
-        "normals": np.rint(mesh.normals * NORMAL_STEPS).astype(np.int16),
-        "point_chart": points[:, 0].astype(np.int16),
-        "point_vertex": smallest(points[:, 1]),
-        "point_place": points[:, 2:].astype(np.int32),
-        "corners": smallest(corners.reshape(-1, 3)),
-        "chart_grid": atlas.chart_grid.astype(np.int32),
-        "cells": atlas.cells.astype(np.int32),
-    }
 
 
 def plane_arrays(name: str, plane: PlaneTransform) -> dict[str, np.ndarray]:
