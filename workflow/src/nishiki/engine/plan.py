@@ -341,26 +341,17 @@ def _scene_sweep(
     stages = next(iter(plans.values())).stages
     evaluation = next(name for name in stages if CHAIN[name].asked_as == "evaluate")
     reference = plans[sweep.default or AS_CONFIGURED]
-    return SceneSweep(
-        scene.name,
-        facts,
-        _merge_variants(plans, evaluation, reference),
-        evaluation,
-        _list_varied_stages(named, sweep, plans, evaluation),
-    )
-
-
-def _merge_variants(plans: dict[str, Plan], evaluation: str, reference: Plan) -> tuple[PlannedVariant, ...]:
-    """Merge variants with the same evaluation key: all that it was made from is the same."""
+    # variants with the same evaluation key are one: all that it was made from is the same
     names: dict[str, list[str]] = {}
     for name, plan in plans.items():
         names.setdefault(plan.stages[evaluation].key, []).append(name)
-    variants = []
+    merged = []
     for group in names.values():
         plan = plans[group[0]]
         before, after = ({name: stage.settings for name, stage in made.stages.items()} for made in (reference, plan))
-        variants.append(PlannedVariant(tuple(group), plan, tuple(differences(before, after))))
-    return tuple(variants)
+        merged.append(PlannedVariant(tuple(group), plan, tuple(differences(before, after))))
+    counted = _list_varied_stages(named, sweep, plans, evaluation)
+    return SceneSweep(scene.name, facts, tuple(merged), evaluation, counted)
 
 
 def _list_varied_stages(named: str, sweep: SweepSettings, plans: dict[str, Plan], evaluation: str) -> tuple[str, ...]:
