@@ -14,7 +14,6 @@ from nishiki.formats.coding import (
     Coding,
     RgbSpace,
     choose_coding,
-    coding_from,
     exif_coding,
     icc_coding,
     icc_profile,
@@ -181,12 +180,6 @@ class ImageHeader:
     @property
     def decoded_bytes(self) -> int:
         return self.rows * self.columns * self.channels * {"uint8": 1, "uint16": 2, "float32": 4}[self.sample]
-
-
-def header_from(values: dict[str, Any]) -> ImageHeader:
-    """Rebuild a header from its plain values (`dataclasses.asdict`, after JSON)."""
-    built = {"names": tuple(values["names"]), "coding": coding_from(values["coding"]), "exif": Exif(**values["exif"])}
-    return ImageHeader(**{**values, **built})
 
 
 Output = Callable[[tuple[int, ...], str], np.ndarray]  # makes an array of this shape and type, of any content

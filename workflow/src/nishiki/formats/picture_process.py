@@ -25,8 +25,9 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from nishiki.formats.coding import coding_from
 from nishiki.formats.files import read_bytes
-from nishiki.formats.picture_files import RAW_SUFFIXES, ImageHeader, Picture, Wanted, header_from, open_jpeg, open_png
+from nishiki.formats.picture_files import RAW_SUFFIXES, Exif, ImageHeader, Picture, Wanted, open_jpeg, open_png
 from nishiki.formats.problems import CaptureError, Problem, error, refuse
 
 LEAST_MEMORY = 512 << 20  # bytes of address space beyond the idle child's: libraries, a file's directory
@@ -41,7 +42,9 @@ _START = "import sys; sys.path[:] = sys.argv[2:]; from nishiki.formats.picture_p
 def request_header(handle: int, suffix: str, name: str) -> ImageHeader:
     """Read the header of an open picture. CaptureError (image-unreadable, image-truncated, image-unsupported, ...)."""
     answer, _ = _ask({"do": "header", "suffix": suffix, "name": name}, handle, 0)
-    return header_from(answer["header"])
+    values = answer["header"]
+    built = {"names": tuple(values["names"]), "coding": coding_from(values["coding"]), "exif": Exif(**values["exif"])}
+    return ImageHeader(**{**values, **built})
 
 
 def request_codes(handle: int, header: ImageHeader, suffix: str, name: str, wanted: dict[str, Any]) -> np.ndarray:
