@@ -1,5 +1,7 @@
 """Normals of a mesh by the shading of an object that turns: against true ones, and against slow derivatives."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -59,6 +61,19 @@ def test_normals_are_found_by_shading(gloss):
     assert np.median(errors(wrong)) > 2
     assert np.median(errors(found)) < 0.45 * np.median(errors(wrong))
     np.testing.assert_array_equal(found.vertices, wrong.vertices)
+
+
+@pytest.mark.parametrize("factor", [1e-6, 1e6])
+def test_brightness_and_unit_of_length_do_not_matter(factor):
+    wrong, sample, triangles, centres, lamps = photographed()
+    found, hidden = refine_normals(wrong, sample, triangles, centres, lamps)
+    bright = replace(sample, values=np.float32(factor) * sample.values)
+    far = replace(bright, positions=np.float32(factor) * bright.positions)
+    large = Mesh(factor * wrong.vertices, wrong.triangles, wrong.normals)
+    lamps = [replace(lamp, vector=np.float32(factor) * lamp.vector) for lamp in lamps]
+    again, share = refine_normals(large, far, triangles, factor * centres, lamps)
+    assert np.median(np.linalg.norm(again.normals - found.normals, axis=1)) < 0.005
+    assert share == pytest.approx(hidden, rel=0.01)
 
 
 def test_true_normals_stay_near():

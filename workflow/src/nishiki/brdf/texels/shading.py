@@ -125,12 +125,17 @@ def fit_shading(
     bends = np.zeros((len(CURVE) - 2, len(CURVE) + len(LOBES)))
     for knot in range(len(bends)):
         bends[knot, knot : knot + 3] = 1, -2, 1
-    pulls = np.repeat([pull, PULL], [len(CURVE), len(LOBES)])
+    pulls, unit = (
+        np.repeat([pull, PULL], [len(CURVE), len(LOBES)]),
+        float(np.median(seen.scale)) if counted.size else 1.0,
+    )
     for _ in range(ROUNDS):
         diffuse, trust = (near @ shading.curve) * lit, weights * robust
         kd = _fit_colours(seen, diffuse, lobes @ shading.gloss, trust, len(normals))
         if not held:
-            columns = np.concatenate([near * (kd[seen.texel] * lit)[:, None], lobes], axis=1) / seen.scale[:, None]
+            columns = (
+                np.concatenate([near * (kd[seen.texel] * lit)[:, None], unit * lobes], axis=1) / seen.scale[:, None]
+            )
             normal, right = columns.T @ (columns * trust[:, None]), columns.T @ (trust * seen.values / seen.scale)
             level = (np.trace(normal) + 1e-30) / len(normal)
             normal += level * (BENT * bends.T @ bends + np.diag(pulls))
@@ -138,7 +143,7 @@ def fit_shading(
             factor = np.linalg.cholesky(normal)
             found = nnls(factor.T, np.linalg.solve(factor, right))[0]
             top = max(found[len(CURVE) - 1], 1e-30)
-            shading, kd = Shading(found[: len(CURVE)] / top, found[len(CURVE) :]), kd * top
+            shading, kd = Shading(found[: len(CURVE)] / top, unit * found[len(CURVE) :]), kd * top
             diffuse = (near @ shading.curve) * lit
         deviation = (seen.values - kd[seen.texel] * diffuse - lobes @ shading.gloss) / seen.scale
         spread = 1.4826 * float(np.median(np.abs(deviation[counted]))) if counted.any() else 0.0
