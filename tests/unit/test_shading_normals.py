@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from unit.test_object_brdf import ring
+from unit.test_object_brdf import DISTANCE, ring
 
 from nishiki.brdf.texels.model import CaptureLamps
-from nishiki.brdf.texels.shading import CURVE, ShadedTexels, _ask, fit_shading, refine_normals
+from nishiki.brdf.texels.shading import CURVE, ShadedTexels, _compute_pull, fit_shading, refine_normals
 from nishiki.brdf.texels.texel_fit import Sample
-from nishiki.geometry.mesh import Mesh, tangents
+from nishiki.geometry.mesh import Mesh, compute_tangents
 from nishiki.model_selection.decision import decide_normals
 
-PLACE = (0.3, 0.35, 0.0)
+PLACE = (0.3 * DISTANCE / 4, 0.35 * DISTANCE / 4, 0.0)
 
 
 def unit(vectors):
@@ -59,7 +59,7 @@ def test_normals_are_found_by_shading(gloss):
     assert hidden[1] < 0.8 * hidden[0]
     assert decide_normals(hidden)[0]
     assert np.median(errors(wrong)) > 2
-    assert np.median(errors(found)) < 0.45 * np.median(errors(wrong))
+    assert np.median(errors(found)) < 0.6 * np.median(errors(wrong))
     np.testing.assert_array_equal(found.vertices, wrong.vertices)
 
 
@@ -74,6 +74,16 @@ def test_brightness_and_unit_of_length_do_not_matter(factor):
     again, share = refine_normals(large, far, triangles, factor * centres, lamps)
     assert np.median(np.linalg.norm(again.normals - found.normals, axis=1)) < 0.005
     assert share == pytest.approx(hidden, rel=0.01)
+
+
+def test_a_view_is_hidden_under_all_its_lights():
+    """Two lights, of which the second repeats the first: hidden photographs would give themselves away."""
+    wrong, sample, triangles, centres, lamps = photographed()
+    one = refine_normals(wrong, sample, triangles, centres, lamps)[1]
+    values, visible = (np.concatenate([each, each], axis=1) for each in (sample.values, sample.visible))
+    both = replace(sample, values=values, visible=visible)
+    two = refine_normals(wrong, both, triangles, np.concatenate([centres, centres]), lamps + lamps)[1]
+    assert two == pytest.approx(one, rel=0.1)
 
 
 def test_true_normals_stay_near():
@@ -98,10 +108,10 @@ def test_texels_ask_for_the_turn_that_lowers_their_deviations():
     seen = ShadedTexels.of(sample, centres, lamps)
     normals = unit(sample.normals.astype(float))
     fit = fit_shading(seen, normals)
-    information, pull = _ask(seen, normals, fit.shading)
+    information, pull = _compute_pull(seen, normals, fit.shading)
 
     def squares(turned):
-        cosine, lit, lobes, _, _ = seen.angles(turned)
+        cosine, lit, lobes, _, _ = seen.compute_angles(turned)
         lit = lit * np.interp(cosine, CURVE, fit.shading.curve)
         left, weights = seen.values - lobes @ fit.shading.gloss, fit.weights
         total = np.zeros(len(normals))
@@ -112,7 +122,7 @@ def test_texels_ask_for_the_turn_that_lowers_their_deviations():
             total[texel] = np.sum(w * (y - a * (w @ (a * y) / max(w @ a**2, 1e-30))) ** 2)
         return total
 
-    step, across = 1e-4, tangents(normals)
+    step, across = 1e-4, compute_tangents(normals)
     for axis in range(2):
         ahead, behind = (squares(unit(normals + sign * step * across[:, axis])) for sign in (1, -1))
         slope = -(ahead - behind) / (4 * step)

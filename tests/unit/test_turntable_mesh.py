@@ -8,7 +8,7 @@ from refusals import refused
 from nishiki.codec.compact import decode_mesh, encode_mesh, grid_step, mesh_step, shift
 from nishiki.codec.range_coder import begin, code_bit, finish
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.mesh import Mesh, measure_tilts, tangents, tilt_normals
+from nishiki.geometry.mesh import Mesh, compute_tangents, measure_tilts, tilt_normals
 
 
 def sphere(rows=24, columns=48, bump=0.1):
@@ -115,7 +115,7 @@ def test_tilted_normals_come_back_with_the_mesh():
     by_place = dict(zip(map(tuple, turned.vertices), turned.normals, strict=True))
     expected = np.array([by_place[tuple(place)] for place in decoded.vertices])
     np.testing.assert_allclose(decoded.normals, expected, atol=1e-6)
-    across = tangents(mesh.normals.astype(float))
+    across = compute_tangents(mesh.normals.astype(float))
     np.testing.assert_allclose(across @ across.swapaxes(1, 2), np.broadcast_to(np.eye(2), (len(grid), 2, 2)), atol=1e-6)
     np.testing.assert_allclose(np.einsum("vki,vi->vk", across, mesh.normals), 0, atol=1e-6)
 

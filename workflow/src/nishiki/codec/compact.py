@@ -31,7 +31,7 @@ class CompactMesh:
     step: float
 
     def restore(self, mesh: Mesh) -> Mesh:
-        """Return the decoded positions and normals in the order of `mesh`."""
+        """Return the decoded positions and normals in the order of `mesh`, in which vertices may lie on one place."""
         return tilt_normals(np.round(mesh.vertices / self.step) * self.step, mesh.triangles, measure_tilts(mesh))
 
 

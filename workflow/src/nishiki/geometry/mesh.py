@@ -72,7 +72,7 @@ TILT_STEP = 0.03  # tangent of the angle by which steps of a tilt are apart
 MOST_STEPS = 127  # of a tilt along either axis: 8 bits, 75 degrees
 
 
-def tangents(normals: np.ndarray) -> np.ndarray:
+def compute_tangents(normals: np.ndarray) -> np.ndarray:
     """Compute two unit vectors (v, 2, 3) across unit normals (v, 3).
 
     A reflection carries a fixed axis there, so that they change smoothly but near the opposite of that axis.
@@ -87,14 +87,14 @@ def measure_tilts(mesh: Mesh) -> np.ndarray:
     """Compute the steps (v, 2) int8 by which a mesh's normals are tilted against those of its triangles."""
     plain = vertex_normals(mesh.vertices, mesh.triangles).astype(float)
     along = np.maximum(np.einsum("vi,vi->v", plain, mesh.normals), 1e-3)
-    steps = np.einsum("vki,vi->vk", tangents(plain), mesh.normals) / (TILT_STEP * along[:, None])
+    steps = np.einsum("vki,vi->vk", compute_tangents(plain), mesh.normals) / (TILT_STEP * along[:, None])
     return np.clip(np.rint(steps), -MOST_STEPS, MOST_STEPS).astype(np.int8)
 
 
 def tilt_normals(vertices: np.ndarray, triangles: np.ndarray, steps: np.ndarray) -> Mesh:
     """Build a mesh whose normals are tilted by steps (v, 2) against those of its triangles."""
     plain = vertex_normals(vertices, triangles)
-    normals = plain + TILT_STEP * np.einsum("vk,vki->vi", steps.astype(float), tangents(plain.astype(float)))
+    normals = plain + TILT_STEP * np.einsum("vk,vki->vi", steps.astype(float), compute_tangents(plain.astype(float)))
     normals = (normals / np.linalg.norm(normals, axis=1, keepdims=True)).astype(np.float32)
     return Mesh(vertices, triangles, np.where(steps.any(axis=1, keepdims=True), normals, plain))
 

@@ -134,7 +134,7 @@ def _fit_strengths(values: np.ndarray, diffuse: np.ndarray, lobe: np.ndarray, we
     return diffuse[..., None] * kd[:, None] + lobe[..., None] * ks[:, None]
 
 
-LEAST_TURNED = 0.98  # a smaller gain is not told from chance
+LEAST_TURNED = 0.95  # right normals of a simulated ball gained 4 %, those of hulls 20 to 40
 
 
 def decide_normals(measured: tuple[float, float] | None) -> tuple[bool, Decision]:
@@ -142,7 +142,7 @@ def decide_normals(measured: tuple[float, float] | None) -> tuple[bool, Decision
     override = "object_brdf.normals: mesh"
     if measured is None:
         return False, Decision(
-            "normals", "those of the mesh", "set or fitted light", None, None, "not measured", override
+            "normals", "those of the mesh", "set, fitted light, or too few views", None, None, "not measured", override
         )
     before, after = measured
     turned, share = after < LEAST_TURNED * before, after / before if before else 1.0

@@ -99,7 +99,10 @@ class Judgement:
         """Distance of directed lamps by the fall-off of their light, in widths of these pictures; None: unknown."""
         if self.lamps.ndim > 2 or self.boards is not None:
             return None
-        return measure_width(self.grey, self.lamps) if self.arrangement is None or self.arrangement.as_stated else None
+        found = self.arrangement
+        if found is not None and (found.rearranged or found.unexplained):
+            return None
+        return measure_width(self.grey, self.lamps)
 
 
 @dataclass
@@ -332,7 +335,10 @@ def curve_problems(judgement: Judgement) -> list[Problem]:
     names = [name for name, coded in zip(judgement.names, judgement.coded, strict=True) if coded]
     what = "photographs were saved with another tone curve than the others: decoded, they suit these far better"
     found = f"{len(names)} of {len(judgement.names)} ({name_some(names)})"
-    remedy = "Export all photographs in one go, with one setting, and convert them again"
+    remedy = (
+        "Export all photographs in one go, with one setting, and convert them again; where the room's light burned "
+        "during some of them, leave these out"
+    )
     return [warning("curves-differ", names[0], what, found=found, remedy=remedy)]
 
 
@@ -463,6 +469,9 @@ def _arrangement_problems(judgement: Judgement, arrangement: Arrangement, captur
         kinds.append(("lights-axes", "the axes of the lights differ from those of the photographs"))
         if axes != EXCHANGED:
             opposite = f". If hills then appear as hollows, give --lights-axes={turn_by_half(axes)} instead"
+            if arrangement.height != 1:
+                scaled = name_heights(axes, arrangement.height)
+                opposite += f"; if z was listed in another unit, --lights-axes={scaled}"
     remedy = f"Convert the photographs again with {' '.join(options)}, or correct {file}{opposite}"
     return problems + [error(kind, file, what, found=evidence, remedy=remedy) for kind, what in kinds]
 

@@ -265,7 +265,7 @@ def turn_axes(vectors: np.ndarray, axes: str) -> np.ndarray:
     heights exchanged with distances from the z axis; then `turn:30`, by 30 degrees from x towards y.
     """
     found = re.fullmatch(r"(-?x,-?y|-?y,-?x)(?:,(h|[0-9]+(?:[.][0-9]+)?z))?(?:,turn:(-?[0-9]+(?:[.][0-9]+)?))?", axes)
-    if found is None:
+    if found is None or re.fullmatch(r"[0.]+z", found[2] or ""):
         raise ValueError(axes)
     plane = [(-1 if name[0] == "-" else 1) * vectors[..., "xy".index(name[-1])] for name in found[1].split(",")]
     across, height = np.stack(plane, axis=-1), vectors[..., 2:]
@@ -283,7 +283,7 @@ def turn_axes(vectors: np.ndarray, axes: str) -> np.ndarray:
 def name_heights(axes: str, factor: float) -> str:
     """Name axes, see `turn_axes`, with the heights multiplied by a factor."""
     plane, *turn = axes.split(",turn:")
-    return ",turn:".join([f"{plane},{factor:.3g}z", *turn])
+    return ",turn:".join([f"{plane},{factor:.4g}z", *turn])
 
 
 def turn_by_half(axes: str) -> str:

@@ -3,10 +3,10 @@
     I = K_d D(cos(theta_i)) + sum_k G_k exp(-alpha^2 / (2 s_k^2)) / cos(theta_r)
 
 K_d of each texel; for the whole object one curve D, near Lambert's line, and one sum of Gaussian lobes.  Between two
-rims that it sees a visual hull is flat, so that its normals are off by more than its places.  Each texel's observations
-ask for a turn of its normal (Gauss-Newton, K_d eliminated: R. J. Woodham, Photometric method for determining surface
-orientation from multiple images, Optical Engineering 19, 1980, with a lobe); the normals of the vertices, from which
-those of the texels are interpolated, follow by sparse least squares in which neighbours turn alike.  Places stay.
+rims that it sees a visual hull is flat, so that its normals are off by more than its places.  The normals of the
+vertices, from which those of the texels are interpolated, are found by Gauss-Newton steps of sparse least squares over
+all observations, in which neighbouring vertices turn alike; K_d is eliminated.  Places stay.  (R. J. Woodham,
+Photometric method for determining surface orientation from multiple images, Optical Engineering 19, 1980.)
 
 Curve and lobes are those at the normals of the mesh, which are off to all sides: with Lambert's line in place of D, or
 with a curve that follows the turned normals, all normals of a rough matt body turn along the axis by some 15 degrees.
@@ -17,13 +17,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import scipy.sparse as sparse
 from scipy.optimize import nnls
-from scipy.sparse.linalg import spsolve
+from scipy.sparse.linalg import cg
 
 from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.model import ENVIRONMENT, POINT, CaptureLamps, ViewLamp
 from nishiki.brdf.texels.texel_fit import Sample
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.mesh import Mesh, measure_tilts, tangents, tilt_normals
+from nishiki.geometry.mesh import Mesh, compute_tangents, measure_tilts, tilt_normals
 
 LOBES = np.array([0.08, 0.14, 0.22, 0.35])  # radians: s_k
 CURVE = np.linspace(0, 1, 11)  # cos(theta_i) between which D is linear
@@ -81,7 +81,7 @@ class ShadedTexels:
         """Return some of the observations."""
         return ShadedTexels(*(values[chosen] for values in vars(self).values()))
 
-    def angles(self, normals: np.ndarray) -> tuple[np.ndarray, ...]:
+    def compute_angles(self, normals: np.ndarray) -> tuple[np.ndarray, ...]:
         """Compute cos(theta_i) (n,), fall-off where lit (n,), lobes (n, lobes), weights (n,) and alpha (n,)."""
         normal = normals[self.texel]
         cos_i, cos_r = _dot(normal, self.towards), _dot(normal, self.facing)
@@ -98,7 +98,7 @@ class Shading:
     curve: np.ndarray = field(default_factory=CURVE.copy)
     gloss: np.ndarray = field(default_factory=lambda: np.zeros(len(LOBES)))
 
-    def slope(self, cosine: np.ndarray) -> np.ndarray:
+    def compute_slope(self, cosine: np.ndarray) -> np.ndarray:
         """Compute the derivative of D."""
         steps = np.diff(self.curve) / np.diff(CURVE)
         return steps[np.clip((cosine * len(steps)).astype(int), 0, len(steps) - 1)]
@@ -119,7 +119,7 @@ def fit_shading(
     seen: ShadedTexels, normals: np.ndarray, shading: Shading | None = None, *, pull: float = PULL
 ) -> ShadingFit:
     """Fit K_d of each texel at texels' normals (texels, 3), robustly; curve and lobes too where none are given."""
-    cosine, lit, lobes, weights, _ = seen.angles(normals)
+    cosine, lit, lobes, weights, _ = seen.compute_angles(normals)
     robust, counted, held = np.ones_like(lit), weights > 0, shading is not None
     shading, near = shading or Shading(), np.maximum(1 - np.abs(cosine[:, None] - CURVE) / CURVE[1], 0)
     bends = np.zeros((len(CURVE) - 2, len(CURVE) + len(LOBES)))
@@ -154,7 +154,7 @@ def fit_shading(
 def measure_misfit(sample: Sample, centres: np.ndarray, lamps: list[ViewLamp]) -> float:
     """Measure the mean deviation, in scales, from Lambert's law and common lobes at the sample's normals."""
     seen = ShadedTexels.of(sample, centres, lamps)
-    fit, weights = fit_shading(seen, sample.normals, pull=LAMBERT), seen.angles(sample.normals)[3]
+    fit, weights = fit_shading(seen, sample.normals, pull=LAMBERT), seen.compute_angles(sample.normals)[3]
     return float(np.average(np.minimum(np.abs(fit.deviation), WORST), weights=weights)) if weights.any() else 0.0
 
 
@@ -193,16 +193,26 @@ def find_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, *, falloff:
 def refine_normals(
     mesh: Mesh, sample: Sample, triangles: np.ndarray, centres: np.ndarray, lamps: list[ViewLamp]
 ) -> tuple[Mesh, tuple[float, float] | None]:
-    """Turn the normals of a mesh to what its photographs show.
+    """Find the normals of a mesh by the shading of its photographs.
 
-    triangles (n,): of the sample's texels.  Second, how far hidden views deviate, in shares of their values, with the
-    mesh's normals and with turned ones: in this trial the middle one of three views in a row is hidden.  None, and the
-    mesh as it is, where the light is a fitted irradiance, which tells too little, or few texels are seen.
+    triangles (n,): of the sample's texels; centres (M, 3) and lamps: of the observations, light by light.
+
+    Returns
+    -------
+    Mesh
+        With the normals that were found, or as it is.
+    tuple of float or None
+        Mean deviation of hidden views, as a share of their values, with the normals of the mesh and with those that the
+        other views give; of three views in a row the middle one is hidden, under all lights.  None where nothing is
+        found: the light is a fitted irradiance, which tells too little, or few texels or views are seen.
     """
     if any(lamp.form == ENVIRONMENT for lamp in lamps) or len(sample.positions) < FEWEST:
         return mesh, None
     seen, mixing = ShadedTexels.of(sample, centres, lamps), _interpolation(mesh, sample.positions, triangles)
-    hidden = np.isin(seen.view, np.unique(seen.view)[1::3])
+    camera = seen.view % len(np.unique(centres, axis=0))
+    hidden = np.isin(camera, np.unique(camera)[1::3])
+    if not hidden.any():
+        return mesh, None
     tried = mesh.normals.astype(float), _turn(mesh, seen.keep(~hidden), mixing)
     before, after = (_predict_hidden(seen.keep(~hidden), seen.keep(hidden), _unit(mixing @ each)) for each in tried)
     turned = replace(mesh, normals=_turn(mesh, seen, mixing).astype(np.float32))
@@ -212,7 +222,7 @@ def refine_normals(
 def _predict_hidden(seen: ShadedTexels, hidden: ShadedTexels, normals: np.ndarray) -> float:
     """Compute the mean deviation, in scales, of hidden observations from the model of the others."""
     fit = fit_shading(seen, normals)
-    cosine, lit, lobes, weights, _ = hidden.angles(normals)
+    cosine, lit, lobes, weights, _ = hidden.compute_angles(normals)
     weights *= np.isin(hidden.texel, seen.texel)
     diffuse = fit.kd[hidden.texel] * np.interp(cosine, CURVE, fit.shading.curve) * lit
     off = np.abs(hidden.values - diffuse - lobes @ fit.shading.gloss) / hidden.scale
@@ -230,30 +240,35 @@ def _turn(mesh: Mesh, seen: ShadedTexels, mixing: sparse.csr_matrix) -> np.ndarr
     shading = fit_shading(seen, _unit(mixing @ normals)).shading
     for _ in range(TURNS):
         at_texels = _unit(mixing @ normals)
-        information, pull = _ask(seen, at_texels, shading)
-        plane = sparse.bsr_matrix((tangents(normals).swapaxes(1, 2), np.arange(count), np.arange(count + 1)))
-        across = sparse.bsr_matrix((tangents(at_texels), np.arange(len(at_texels)), np.arange(len(at_texels) + 1)))
+        information, pull = _compute_pull(seen, at_texels, shading)
+        plane = _place_blocks(compute_tangents(normals).swapaxes(1, 2))
+        across = _place_blocks(compute_tangents(at_texels))
         to_texels, rough = (across @ spread_out @ plane).tocsr(), (differences @ plane).tocsr() / ROUGHNESS
-        weights = sparse.bsr_matrix((information, np.arange(len(information)), np.arange(len(information) + 1)))
-        system = to_texels.T @ weights @ to_texels + rough.T @ rough + 1e-3 * sparse.eye(2 * count)
+        system = to_texels.T @ _place_blocks(information) @ to_texels + rough.T @ rough + 1e-3 * sparse.eye(2 * count)
         right = to_texels.T @ pull.ravel() - rough.T @ (differences @ (normals - first).ravel()) / ROUGHNESS
-        turns = spsolve(sparse.csc_matrix(system), right).reshape(count, 2)
+        nearly = sparse.diags_array(1 / system.diagonal())
+        turns = cg(sparse.csr_matrix(system), right, rtol=1e-8, M=nearly)[0].reshape(count, 2)
         turns *= np.minimum(1, LARGEST_TURN / np.maximum(np.linalg.norm(turns, axis=1), 1e-30))[:, None]
-        normals = _unit(normals + np.einsum("vk,vki->vi", turns, tangents(normals)))
+        normals = _unit(normals + np.einsum("vk,vki->vi", turns, compute_tangents(normals)))
     return normals
 
 
-def _ask(seen: ShadedTexels, normals: np.ndarray, shading: Shading) -> tuple[np.ndarray, np.ndarray]:
-    """Compute what each texel's observations ask of its normal: information (texels, 2, 2) and pull (texels, 2)."""
+def _place_blocks(blocks: np.ndarray) -> sparse.bsr_matrix:
+    """Place blocks (n, a, b) along the diagonal of a matrix (n a, n b)."""
+    return sparse.bsr_matrix((blocks, np.arange(len(blocks)), np.arange(len(blocks) + 1)))
+
+
+def _compute_pull(seen: ShadedTexels, normals: np.ndarray, shading: Shading) -> tuple[np.ndarray, np.ndarray]:
+    """Compute information (texels, 2, 2) and gradient (texels, 2) of each texel's normal along its two tangents."""
     fit, count = fit_shading(seen, normals, shading), len(normals)
-    cosine, lit, lobes, _, alpha = seen.angles(normals)
-    plane = tangents(normals)[seen.texel]
+    cosine, lit, lobes, _, alpha = seen.compute_angles(normals)
+    plane = compute_tangents(normals)[seen.texel]
     to_lamp, to_camera, to_half = (
         np.einsum("nki,ni->nk", plane, each) for each in (seen.towards, seen.facing, seen.half)
     )
     cos_r = np.maximum(_dot(normals[seen.texel], seen.facing), GRAZING)
     slope = np.where(alpha > 1e-6, alpha / np.maximum(np.sin(alpha), 1e-6), 1)
-    bend = (fit.kd[seen.texel] * shading.slope(cosine) * lit)[:, None] * to_lamp
+    bend = (fit.kd[seen.texel] * shading.compute_slope(cosine) * lit)[:, None] * to_lamp
     bend += (lobes @ (shading.gloss / LOBES**2) * slope)[:, None] * to_half
     bend -= (lobes @ shading.gloss / cos_r)[:, None] * to_camera
     bend, own = bend / seen.scale[:, None], np.interp(cosine, CURVE, shading.curve) * lit / seen.scale

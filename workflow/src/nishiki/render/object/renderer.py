@@ -252,6 +252,7 @@ class ObjectRenderer:
             for k in range(len(prepared.lamps)):
                 texels = self._texels(prepared, k, flat, (chosen, wanted))
                 prepared.values[k, order] = np.einsum("kn,knc->nc", weights, texels[place])
+        flat.lent.clear()  # it belongs to this batch, and the cache does not count it
 
     def _texels(self, prepared: Prepared, place: int, flat: DecodedTile, texels: tuple) -> np.ndarray:
         """Compute (m, channels) float32: chosen texels of a tile for this camera under one lamp, encoded.
