@@ -21,27 +21,11 @@ from nishiki.simulate.cloth.geometry import (
     weave_pattern,
 )
 from nishiki.simulate.cloth.points import turned_frame
-from nishiki.simulate.cloth.reflectance import SimulatedCloth, blocks, cell_maps, make_cloth, trace_reach
-from nishiki.simulate.cloth.settings import ClothSettings, hemisphere_views, make_settings, quarter_views, session, unit
+from nishiki.simulate.cloth.reflectance import make_cloth, trace, trace_reach
+from nishiki.simulate.cloth.settings import hemisphere_views, make_settings, quarter_views, session, unit
 from nishiki.simulate.reflection import body, fresnel, in_frame, reflect_filament
 
 QUALITY = {"candidates": 30_000, "chains": 12_000}
-
-
-def trace(settings: ClothSettings | SimulatedCloth, incident, outgoing, **quality) -> np.ndarray:
-    """Compute the BRDF (n, channels) in 1/sr for pairs of directions; `quality` as in `make_cloth`.
-
-    incident, outgoing : (n, 3) or (3,) unit vectors away from the cloth, x along the weft, y along the warp, z up.
-    0 where either is not above the horizon. Deterministic: the same settings give the same values.
-    """
-    cloth = settings if isinstance(settings, SimulatedCloth) else make_cloth(settings, **quality)
-    incident, outgoing = np.broadcast_arrays(
-        np.atleast_2d(np.asarray(incident, float)), np.atleast_2d(np.asarray(outgoing, float))
-    )
-    values = np.zeros((len(incident), cloth.dye.shape[1]))
-    for rows, lamps, views, index in blocks(cloth, incident, outgoing):
-        values[rows] = cell_maps(cloth, lamps, views, index).mean(axis=(1, 2))
-    return values
 
 
 @pytest.fixture(scope="module")

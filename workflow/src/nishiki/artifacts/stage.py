@@ -52,15 +52,12 @@ class RunFacts:
         """
         end_children()
         cpu, read = sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2]) + time.process_time(), bytes_read()
-        # ru_maxrss also counts the process that started this one, up to the moment at which it became this program: a
-        # small stage would show the memory of the workflow engine
-        peak = _read_process_number("status", "VmHWM:") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return {
             "seconds": round(time.perf_counter() - self.clock, 3),
             "cpu_seconds": round(cpu - self.cpu, 3),
             "start_cpu_seconds": round(self.cpu, 3),
             "process_cpu_seconds": round(cpu, 3),
-            "peak_memory_mib": round(peak / 1024, 1),
+            "peak_memory_mib": round(peak_memory_kib() / 1024, 1),
             "bytes_read": None if read is None or self.read is None else read - self.read,
             "packages": list(list_loaded()),
             "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
@@ -76,6 +73,15 @@ class RunFacts:
 def bytes_read() -> int | None:
     """Return the bytes that this process requested from the operating system; None where they are not counted."""
     return _read_process_number("io", "rchar:")
+
+
+def peak_memory_kib() -> int:
+    """Return the peak of the resident memory of this program.
+
+    ru_maxrss also counts the process that started this one, up to the moment at which it became this program: a small
+    stage would show the memory of the workflow engine.
+    """
+    return _read_process_number("status", "VmHWM:") or resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
 def _read_process_number(file: str, name: str) -> int | None:

@@ -10,7 +10,6 @@ import numpy as np
 import zarr
 
 from nishiki.atlas.atlas import Atlas
-from nishiki.atlas.surface import texel_points, texel_triangles
 from nishiki.formats.stored import open_made_by
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
@@ -83,6 +82,8 @@ class Texels:
     @cached_property
     def triangles(self) -> np.ndarray:
         """Nearest triangle of each texel, as `texel_triangles`."""
+        from nishiki.atlas.surface import texel_triangles
+
         return texel_triangles(self.atlas)
 
     def geometry(self, tile: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -93,6 +94,8 @@ class Texels:
         positions, normals = self._read_tile("positions", tile), self._read_tile("normals", tile)
         inside = (normals != 0).any(axis=-1)
         if self._mesh is not None:
+            from nishiki.atlas.surface import texel_points
+
             normals = texel_points(self._mesh, self.atlas, self.triangles, slice(tile, tile + 1))[1][0]
         return positions, normals, inside
 

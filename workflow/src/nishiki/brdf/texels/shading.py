@@ -13,17 +13,18 @@ with a curve that follows the turned normals, all normals of a rough matt body t
 """
 
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-import scipy.sparse as sparse
-from scipy.optimize import nnls
-from scipy.sparse.linalg import cg
 
 from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.model import ENVIRONMENT, POINT, CaptureLamps, ViewLamp
 from nishiki.brdf.texels.texel_fit import Sample
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, compute_tangents, measure_tilts, tilt_normals
+
+if TYPE_CHECKING:
+    from scipy import sparse
 
 LOBES = np.array([0.08, 0.14, 0.22, 0.35])  # radians: s_k
 CURVE = np.linspace(0, 1, 11)  # cos(theta_i) between which D is linear
@@ -119,6 +120,8 @@ def fit_shading(
     seen: ShadedTexels, normals: np.ndarray, shading: Shading | None = None, *, pull: float = PULL
 ) -> ShadingFit:
     """Fit K_d of each texel at texels' normals (texels, 3), robustly; curve and lobes too where none are given."""
+    from scipy.optimize import nnls
+
     cosine, lit, lobes, weights, _ = seen.compute_angles(normals)
     robust, counted, held = np.ones_like(lit), weights > 0, shading is not None
     shading, near = shading or Shading(), np.maximum(1 - np.abs(cosine[:, None] - CURVE) / CURVE[1], 0)
@@ -229,8 +232,11 @@ def _predict_hidden(seen: ShadedTexels, hidden: ShadedTexels, normals: np.ndarra
     return float(np.average(np.minimum(off, WORST), weights=weights)) if weights.any() else 0.0
 
 
-def _turn(mesh: Mesh, seen: ShadedTexels, mixing: sparse.csr_matrix) -> np.ndarray:
+def _turn(mesh: Mesh, seen: ShadedTexels, mixing: "sparse.csr_matrix") -> np.ndarray:
     """Compute the vertices' unit normals (v, 3) by TURNS steps of Gauss-Newton; mixing (texels, v) interpolates."""
+    from scipy import sparse
+    from scipy.sparse.linalg import cg
+
     first = mesh.normals.astype(float)
     normals, edges = first.copy(), np.unique(np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)), axis=0)
     count = len(normals)
@@ -253,8 +259,10 @@ def _turn(mesh: Mesh, seen: ShadedTexels, mixing: sparse.csr_matrix) -> np.ndarr
     return normals
 
 
-def _place_blocks(blocks: np.ndarray) -> sparse.bsr_matrix:
+def _place_blocks(blocks: np.ndarray) -> "sparse.bsr_matrix":
     """Place blocks (n, a, b) along the diagonal of a matrix (n a, n b)."""
+    from scipy import sparse
+
     return sparse.bsr_matrix((blocks, np.arange(len(blocks)), np.arange(len(blocks) + 1)))
 
 
@@ -293,8 +301,10 @@ def _fit_colours(seen: ShadedTexels, lit: np.ndarray, gloss: np.ndarray, weights
     return np.maximum(above / np.where(below > 0, below, np.inf), 0)
 
 
-def _interpolation(mesh: Mesh, positions: np.ndarray, triangles: np.ndarray) -> sparse.csr_matrix:
+def _interpolation(mesh: Mesh, positions: np.ndarray, triangles: np.ndarray) -> "sparse.csr_matrix":
     """Compute the shares (n, v) of the vertices at points near their triangles (n,)."""
+    from scipy import sparse
+
     corners = mesh.triangles[triangles]
     a, b, c = (mesh.vertices[corners[:, k]] for k in range(3))
     u, v, point = b - a, c - a, positions - a

@@ -60,6 +60,22 @@ def make_cloth(
     return SimulatedCloth(settings, solids, points, paths)
 
 
+def trace(settings: ClothSettings | SimulatedCloth, incident, outgoing, **quality) -> np.ndarray:
+    """Compute the BRDF (n, channels) in 1/sr for pairs of directions; `quality` as in `make_cloth`.
+
+    incident, outgoing : (n, 3) or (3,) unit vectors away from the cloth, x along the weft, y along the warp, z up.
+    0 where either is not above the horizon. Deterministic: the same settings give the same values.
+    """
+    cloth = settings if isinstance(settings, SimulatedCloth) else make_cloth(settings, **quality)
+    incident, outgoing = np.broadcast_arrays(
+        np.atleast_2d(np.asarray(incident, float)), np.atleast_2d(np.asarray(outgoing, float))
+    )
+    values = np.zeros((len(incident), cloth.dye.shape[1]))
+    for rows, lamps, views, index in blocks(cloth, incident, outgoing):
+        values[rows] = cell_maps(cloth, lamps, views, index).mean(axis=(1, 2))
+    return values
+
+
 def blocks(cloth: SimulatedCloth, incident: np.ndarray, outgoing: np.ndarray) -> Iterator[tuple]:
     """Yield blocks of pairs of directions (n, 3) that share their rays: (rows, lamps, views, index).
 
