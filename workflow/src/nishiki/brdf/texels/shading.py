@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 LOBES = np.array([0.08, 0.14, 0.22, 0.35])  # radians: s_k
 CURVE = np.linspace(0, 1, 11)  # cos(theta_i) between which D is linear
 BENT, PULL = 0.05, 1e-4  # of the information: how much D's bends and its distance from Lambert's line count
-LAMBERT = 1e4  # a pull that leaves Lambert's line: a free curve takes light from all around for that of any lamp
+STRAIGHT = 1e4  # a weight of bends that leaves D a straight line, which light between parts of the object lifts
 STEEP = 0.25  # cos(theta_r) below which an observation counts less and less
 DARK = 0.5  # of the median value, added to a value for its scale: shadows and noise do not count without bound
 ROUNDS = 8  # of K_d, lobes and robust weights in turn
@@ -41,6 +41,7 @@ LARGEST_TURN = 0.15  # radians, of one round
 FIRST_STEP, LAST_STEP = 0.04, 0.003  # of the search for the lamp's place, in distances of the camera
 MOST_BESIDE = 0.5  # distances of the camera; light from all around draws the search farther than any lamp beside it
 LEAST_BESIDE_GAIN = 0.1  # of the residual that a lamp beside the camera has to take off
+EVEN = 0.005  # of the scale: smaller deviations, as under light from all around, tell no place
 WORST = 0.15  # of the scale: larger residuals, of shadows, count as this one
 FEWEST = 20  # texels
 
@@ -117,7 +118,7 @@ class ShadingFit:
 
 
 def fit_shading(
-    seen: ShadedTexels, normals: np.ndarray, shading: Shading | None = None, *, pull: float = PULL
+    seen: ShadedTexels, normals: np.ndarray, shading: Shading | None = None, *, bent: float = BENT
 ) -> ShadingFit:
     """Fit K_d of each texel at texels' normals (texels, 3), robustly; curve and lobes too where none are given."""
     from scipy.optimize import nnls
@@ -128,10 +129,7 @@ def fit_shading(
     bends = np.zeros((len(CURVE) - 2, len(CURVE) + len(LOBES)))
     for knot in range(len(bends)):
         bends[knot, knot : knot + 3] = 1, -2, 1
-    pulls, unit = (
-        np.repeat([pull, PULL], [len(CURVE), len(LOBES)]),
-        float(np.median(seen.scale)) if counted.size else 1.0,
-    )
+    unit = float(np.median(seen.scale)) if counted.size else 1.0
     for _ in range(ROUNDS):
         diffuse, trust = (near @ shading.curve) * lit, weights * robust
         kd = _fit_colours(seen, diffuse, lobes @ shading.gloss, trust, len(normals))
@@ -141,8 +139,8 @@ def fit_shading(
             )
             normal, right = columns.T @ (columns * trust[:, None]), columns.T @ (trust * seen.values / seen.scale)
             level = (np.trace(normal) + 1e-30) / len(normal)
-            normal += level * (BENT * bends.T @ bends + np.diag(pulls))
-            right += level * pulls * np.concatenate([CURVE, np.zeros(len(LOBES))])
+            normal += level * (bent * bends.T @ bends + PULL * np.eye(len(normal)))
+            right += level * PULL * np.concatenate([CURVE, np.zeros(len(LOBES))])
             factor = np.linalg.cholesky(normal)
             found = nnls(factor.T, np.linalg.solve(factor, right))[0]
             top = max(found[len(CURVE) - 1], 1e-30)
@@ -155,9 +153,9 @@ def fit_shading(
 
 
 def measure_misfit(sample: Sample, centres: np.ndarray, lamps: list[ViewLamp]) -> float:
-    """Measure the mean deviation, in scales, from Lambert's law and common lobes at the sample's normals."""
+    """Measure the mean deviation, in scales, from a straight D and common lobes at the sample's normals."""
     seen = ShadedTexels.of(sample, centres, lamps)
-    fit, weights = fit_shading(seen, sample.normals, pull=LAMBERT), seen.compute_angles(sample.normals)[3]
+    fit, weights = fit_shading(seen, sample.normals, bent=STRAIGHT), seen.compute_angles(sample.normals)[3]
     return float(np.average(np.minimum(np.abs(fit.deviation), WORST), weights=weights)) if weights.any() else 0.0
 
 
@@ -189,7 +187,7 @@ def find_lamp(sample: Sample, cameras: list[Camera], of: np.ndarray, *, falloff:
         else:
             step /= 2
     x, y = place.tolist()
-    beside = np.hypot(x, y) <= MOST_BESIDE * distance and best < (1 - LEAST_BESIDE_GAIN) * first
+    beside = np.hypot(x, y) <= MOST_BESIDE * distance and best + EVEN < (1 - LEAST_BESIDE_GAIN) * (first + EVEN)
     return (x, y, 0.0) if beside else nowhere
 
 
