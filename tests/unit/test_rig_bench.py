@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from captures import make_capture
 from refusals import refused
+from simulated_devices import VirtualCamera
 
 from nishiki.commands.running import photograph_by_rig
 from nishiki.errors import UserError
 from nishiki.rig.description import open_rig
 from nishiki.simulate.rig.bench import PaintingBench, run_at_terminal
-from nishiki.simulate.rig.camera import VirtualCamera
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow" / "src"
 RIG = """

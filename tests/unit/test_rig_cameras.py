@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 from refusals import refused
+from simulated_devices import CAPACITY, VirtualCamera
 
 from nishiki.rig.cameras import FolderSettings, WatchedFolder, number_of, run_command
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
-from nishiki.simulate.rig.camera import CAPACITY, VirtualCamera
 
 SOURCE = Path(__file__).resolve().parents[2] / "workflow" / "src"
 

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 from refusals import expect_facts, refused
+from simulated_devices import SimulatedComXim, SimulatedDialogue, SimulatedGrbl
 
 from nishiki.cli import main
 from nishiki.errors import UserError
@@ -14,10 +15,7 @@ from nishiki.rig import described
 from nishiki.rig import device as lines
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
-from nishiki.simulate.rig.comxim import SimulatedComXim
 from nishiki.simulate.rig.dome import SimulatedDome
-from nishiki.simulate.rig.grbl import SimulatedGrbl
-from nishiki.simulate.rig.line import SimulatedDialogue
 
 OWN_CAMERA = """
 from pathlib import Path

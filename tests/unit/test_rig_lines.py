@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
+from simulated_devices import SimulatedComXim, SimulatedDialogue, SimulatedGrbl
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
@@ -27,10 +28,8 @@ from nishiki.rig.described import (
     HomeMadePolariser,
 )
 from nishiki.rig.device import LONGEST_LINE, DeviceError, DeviceLost, SerialLine
-from nishiki.simulate.rig.comxim import SimulatedComXim
 from nishiki.simulate.rig.dome import SimulatedDome
-from nishiki.simulate.rig.grbl import SimulatedGrbl
-from nishiki.simulate.rig.line import FAULTS, SimulatedDialogue
+from nishiki.simulate.rig.line import FAULTS
 
 DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 """Faults after which the answer never comes."""

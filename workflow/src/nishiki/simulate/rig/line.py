@@ -173,27 +173,3 @@ class SimulatedLine(threading.Thread):
                 os.write(self.master, data)
             except OSError:
                 pass  # the program has closed the port
-
-
-class SimulatedDialogue(SimulatedLine):
-    """A home-made device that gives set answers.
-
-    Parameters
-    ----------
-    path : Path
-        As of `SimulatedLine`.
-    answers : dict of str to str
-        The answer to each command; others are answered with `error`.
-    greeting : str
-        Line that the device sends when it starts.
-    """
-
-    def __init__(self, path: Path, answers: dict[str, str], greeting: str = "") -> None:
-        self.answers, self.greeting = answers, greeting
-        super().__init__(path, restarts_when_opened=bool(greeting))
-
-    def greet(self) -> list[str]:
-        return [self.greeting] if self.greeting else []
-
-    def obey(self, command: str) -> list[str]:
-        return [self.answers.get(command, f"error: unknown command {command}")]
