@@ -2,9 +2,49 @@
 
 import re
 import time
+from collections import deque
 from pathlib import Path
 
+from nishiki.simulate.rig.dome import SimulatedDome
 from nishiki.simulate.rig.line import SimulatedLine
+
+FAULTS = ("silence", "partial", "halves", "noise", "restart", "unplug")
+"""Faults of the next answer: it never comes; only its beginning comes; it comes in two parts; after noise; the
+device restarts in place of it; the cable is pulled."""
+HALVES_S = 0.1
+NOISE = bytes([0xFF, 0x00, 0xFE, 0x13])
+
+
+class FaultyLine(SimulatedLine):
+    """A device whose next answers have faults."""
+
+    def __init__(self, *arguments, **options) -> None:
+        self.faults: deque[str] = deque()
+        super().__init__(*arguments, **options)
+
+    def _answer(self, command: str) -> None:
+        fault = self.faults.popleft() if self.faults else ""
+        if not fault:
+            super()._answer(command)
+            return
+        self.received.append(command)
+        if fault in ("restart", "unplug"):
+            getattr(self, fault)()
+            return
+        data = "".join(line + self.ending for line in self.obey(command)).encode()
+        if fault == "silence":
+            return
+        if fault in ("partial", "halves"):
+            half = max(1, len(data) // 2)
+            data, rest = data[:half], data[half:]
+            if fault == "halves":
+                self.later(HALVES_S, lambda: self._write(rest))
+        self._write(NOISE + self.ending.encode() + data if fault == "noise" else data)
+
+
+class FaultyDome(FaultyLine, SimulatedDome):
+    """A dome whose next answers have faults."""
+
 
 # a controller with GRBL 1.1: start, homing, moves that take time, soft limits, alarms
 
@@ -12,7 +52,7 @@ PULL_OFF = 1.0
 """Units by which an axis leaves its limit switch after homing ($27)."""
 
 
-class SimulatedGrbl(SimulatedLine):
+class SimulatedGrbl(FaultyLine):
     """A controller of axes X, Y and Z.
 
     Parameters
@@ -101,7 +141,7 @@ class SimulatedGrbl(SimulatedLine):
 HEARTBEAT_S = 0.02
 
 
-class SimulatedComXim(SimulatedLine):
+class SimulatedComXim(FaultyLine):
     """A turntable.
 
     Parameters
@@ -156,7 +196,7 @@ class SimulatedComXim(SimulatedLine):
 # home-made devices
 
 
-class SimulatedDialogue(SimulatedLine):
+class SimulatedDialogue(FaultyLine):
     """A home-made device that gives set answers.
 
     Parameters

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
-from simulated_devices import SimulatedComXim, SimulatedDialogue, SimulatedGrbl
+from simulated_devices import FAULTS, FaultyDome, SimulatedComXim, SimulatedDialogue, SimulatedGrbl
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
@@ -29,7 +29,6 @@ from nishiki.rig.described import (
 )
 from nishiki.rig.device import LONGEST_LINE, DeviceError, DeviceLost, SerialLine
 from nishiki.simulate.rig.dome import SimulatedDome
-from nishiki.simulate.rig.line import FAULTS
 
 DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 """Faults after which the answer never comes."""
@@ -440,7 +439,7 @@ def test_the_light_is_steady_when_the_call_returns(port):
 
 @pytest.mark.parametrize("fault", DESTRUCTIVE)
 def test_a_dome_that_fails_is_lost_and_can_be_opened_again(port, fault):
-    with SimulatedDome(port, 8) as device:
+    with FaultyDome(port, 8) as device:
         lamps = dome_of(port, 8, settle_s=0.0)
         device.faults.append(fault)
         with pytest.raises(DeviceLost, match=r"dome.*'<3,4>'.*Remedy"):

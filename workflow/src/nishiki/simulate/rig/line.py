@@ -1,4 +1,4 @@
-"""Simulate a device behind a pseudo-terminal: its answers, and the faults of a serial line."""
+"""Simulate a device behind a pseudo-terminal."""
 
 import errno
 import os
@@ -6,18 +6,12 @@ import select
 import threading
 import time
 import tty
-from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
-FAULTS = ("silence", "partial", "halves", "noise", "restart", "unplug")
-"""Faults of the next answer: it never comes; only its beginning comes; it comes in two parts; after noise; the
-device restarts in place of it; the cable is pulled."""
 BOOT_S = 0.05
 """Seconds from the opening of the port to the greeting: real boards take one or two."""
-HALVES_S = 0.1
 TICK_S = 0.002
-NOISE = bytes([0xFF, 0x00, 0xFE, 0x13])
 
 
 class SimulatedLine(threading.Thread):
@@ -38,7 +32,6 @@ class SimulatedLine(threading.Thread):
     def __init__(self, path: Path, restarts_when_opened: bool = True) -> None:
         super().__init__(daemon=True)
         self.path, self.restarts_when_opened = path, restarts_when_opened
-        self.faults: deque[str] = deque()
         self.received: list[str] = []
         self.events: list[tuple[float, Callable[[], None]]] = []
         self.guard = threading.RLock()
@@ -150,22 +143,7 @@ class SimulatedLine(threading.Thread):
 
     def _answer(self, command: str) -> None:
         self.received.append(command)
-        fault = self.faults.popleft() if self.faults else ""
-        if fault == "restart":
-            self.restart()
-            return
-        if fault == "unplug":
-            self.unplug()
-            return
-        data = "".join(line + self.ending for line in self.obey(command)).encode()
-        if fault == "silence":
-            return
-        if fault in ("partial", "halves"):
-            half = max(1, len(data) // 2)
-            data, rest = data[:half], data[half:]
-            if fault == "halves":
-                self.later(HALVES_S, lambda: self._write(rest))
-        self._write(NOISE + self.ending.encode() + data if fault == "noise" else data)
+        self.say(*self.obey(command))
 
     def _write(self, data: bytes) -> None:
         if self.master is not None and self.opened:
