@@ -302,7 +302,7 @@ def fit_turntable(
     """
     from scipy.optimize import least_squares
 
-    model = _Model.of(sights, cameras, steps, full_turn)
+    model = _Model(sights, cameras, steps, full_turn)
     fit = least_squares(model.residuals, model.start(cameras), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
     rotations, translations, axis, point, angles = model.poses(fit.x)
     # The point of the axis nearest to the centre of the points seen: the choice along the axis is free.
@@ -316,36 +316,15 @@ def fit_turntable(
     return TurntablePoses(fitted, axis, point, np.degrees(angles - angles[0]), rms)
 
 
-@dataclass(frozen=True)
 class _Model:
-    points: np.ndarray
-    pixels: np.ndarray
-    view: np.ndarray
-    views: int
-    camera: Camera
-    axis: np.ndarray
-    across: np.ndarray
-    steps: str
-    full_turn: bool
-    sense: float
-
-    @classmethod
-    def of(cls, sights: list[Sight], cameras: list[Camera], steps: str, full_turn: bool) -> "_Model":
-        axis, angles = _axis_of(cameras)
-        across = np.linalg.svd(axis[None])[2][1:]
-        sense = 1.0 if np.median(np.remainder(np.diff(angles) + np.pi, 2 * np.pi) - np.pi) >= 0 else -1.0
-        return cls(
-            np.concatenate([sight.points for sight in sights]).astype(np.float64),
-            np.concatenate([sight.pixels for sight in sights]).astype(np.float64),
-            np.repeat(np.arange(len(sights)), [len(sight.points) for sight in sights]),
-            len(sights),
-            cameras[0],
-            axis,
-            across,
-            steps,
-            full_turn,
-            sense,
-        )
+    def __init__(self, sights: list[Sight], cameras: list[Camera], steps: str, full_turn: bool) -> None:
+        self.points = np.concatenate([sight.points for sight in sights]).astype(np.float64)
+        self.pixels = np.concatenate([sight.pixels for sight in sights]).astype(np.float64)
+        self.view = np.repeat(np.arange(len(sights)), [len(sight.points) for sight in sights])
+        self.views, self.camera, self.steps, self.full_turn = len(sights), cameras[0], steps, full_turn
+        self.axis, angles = _axis_of(cameras)
+        self.across = np.linalg.svd(self.axis[None])[2][1:]
+        self.sense = 1.0 if np.median(np.remainder(np.diff(angles) + np.pi, 2 * np.pi) - np.pi) >= 0 else -1.0
 
     def start(self, cameras: list[Camera]) -> np.ndarray:
         """Estimate (10 + angles,): turn of the rest pose, its translation, tilt of the axis, its place, angles."""
