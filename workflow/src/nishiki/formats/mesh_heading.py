@@ -1,10 +1,11 @@
-"""Check the type of a mesh file and the size that its heading claims, before a reader allocates it.
+"""Write headings of PLY files; check the size that one claims, before a reader allocates it.
 
 PLY as described by G. Turk (The PLY Polygon File Format, Stanford, 1994).
 """
 
 import os
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -14,6 +15,36 @@ import numpy as np
 from nishiki.formats.files import Refused, expect_bound, open_regular
 from nishiki.formats.problems import CaptureError, refuse
 from nishiki.formats.text_tables import refusal
+
+FACE = np.dtype([("count", "u1"), ("corner", "<i4", 3)])
+
+
+def ply_heading(vertices: int, triangles: int, properties: Iterable[str], comments: Iterable[str] = ()) -> str:
+    """Write the text before the values of a binary little-endian PLY file.
+
+    Parameters
+    ----------
+    vertices, triangles : int
+        Their numbers.
+    properties : iterable of str
+        Type and name of each value of a vertex, such as `float x`.
+    comments : iterable of str
+        Lines for people; line ends in them become blanks.
+    """
+    lines = [
+        *("ply", "format binary_little_endian 1.0", *(f"comment {each}".replace("\n", " ") for each in comments)),
+        *(f"element vertex {vertices}", *(f"property {each}" for each in properties)),
+        *(f"element face {triangles}", "property list uchar int vertex_indices", "end_header"),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def faces(triangles: np.ndarray) -> bytes:
+    """Encode triangles (t, 3), numbers of vertices."""
+    corners = np.empty(len(triangles), FACE)
+    corners["count"], corners["corner"] = 3, triangles
+    return corners.tobytes()
+
 
 KINDS = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"}
 KINDS |= {"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.formats.banded_pictures import png_bytes
+from nishiki.formats.mesh_heading import ply_heading
 from nishiki.installation import optional
 
 INDEX = 1.5  # of refraction, what a viewer of glTF takes where the file says nothing
@@ -163,17 +164,12 @@ class Glb:
 
 
 VERTEX = np.dtype([("place", "<f4", 3), ("normal", "<f4", 3), ("texture", "<f4", 2)])
-FACE = np.dtype([("count", "u1"), ("corner", "<i4", 3)])
 
 
 def heading(count: int, triangles: int) -> bytes:
     """Encode the text before the values; count: vertices."""
-    lines = [
-        *("ply", "format binary_little_endian 1.0", f"element vertex {count}"),
-        *(f"property float {name}" for name in ("x", "y", "z", "nx", "ny", "nz", "u", "v")),
-        *(f"element face {triangles}", "property list uchar int vertex_indices", "end_header"),
-    ]
-    return ("\n".join(lines) + "\n").encode("ascii")
+    names = ("x", "y", "z", "nx", "ny", "nz", "u", "v")
+    return ply_heading(count, triangles, [f"float {name}" for name in names]).encode("ascii")
 
 
 def vertices(places: np.ndarray, normals: np.ndarray, texture: np.ndarray) -> bytes:
@@ -181,13 +177,6 @@ def vertices(places: np.ndarray, normals: np.ndarray, texture: np.ndarray) -> by
     points = np.empty(len(places), VERTEX)
     points["place"], points["normal"], points["texture"] = places, normals, texture
     return points.tobytes()
-
-
-def faces(triangles: np.ndarray) -> bytes:
-    """Encode triangles (t, 3), numbers of vertices."""
-    corners = np.empty(len(triangles), FACE)
-    corners["count"], corners["corner"] = 3, triangles
-    return corners.tobytes()
 
 
 INPUTS = {

@@ -10,7 +10,7 @@ from typing import BinaryIO, Literal
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.mesh_heading import KINDS, Element, expect_mesh_file, read_heading
+from nishiki.formats.mesh_heading import KINDS, Element, expect_mesh_file, faces, ply_heading, read_heading
 from nishiki.formats.stored import load_arrays
 from nishiki.installation import optional
 
@@ -269,20 +269,8 @@ def write_ply(
     names = [f"{name}_{k}" for name, values in more.items() for k in range(values.shape[1])]
     if uv is not None:
         more, names = {"uv": np.asarray(uv, np.float32), **more}, ["u", "v", *names]
-    comments = [f"comment {name} {value}" for name, value in sorted(stamp.items())]
-    heading = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *comments,
-        f"comment unit {unit}",
-        f"element vertex {len(mesh.vertices)}",
-        *(f"property double {axis}" for axis in "xyz"),
-        *(f"property float n{axis}" for axis in "xyz"),
-        *(f"property float {name}" for name in names),
-        f"element face {len(mesh.triangles)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
+    comments = [*(f"{name} {value}" for name, value in sorted(stamp.items())), f"unit {unit}"]
+    properties = [*(f"double {axis}" for axis in "xyz"), *(f"float {name}" for name in ("nx", "ny", "nz", *names))]
     kinds = [
         ("place", "<f8", 3),
         ("normal", "<f4", 3),
@@ -292,7 +280,5 @@ def write_ply(
     points["place"], points["normal"] = mesh.vertices, mesh.normals
     for name, values in more.items():
         points[name] = values
-    faces = np.empty(len(mesh.triangles), np.dtype([("count", "u1"), ("corner", "<i4", 3)]))
-    faces["count"], faces["corner"] = 3, mesh.triangles
-    text = "\n".join(line.replace("\n", " ") for line in heading) + "\n"
-    Path(path).write_bytes(text.encode("utf-8") + points.tobytes() + faces.tobytes())
+    text = ply_heading(len(mesh.vertices), len(mesh.triangles), properties, comments)
+    Path(path).write_bytes(text.encode("utf-8") + points.tobytes() + faces(mesh.triangles))

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.formats.mesh_heading import faces, ply_heading
 from nishiki.simulate.capture import (
     BOARD_REFLECTANCE,
     DARK_FRAMES,
@@ -219,14 +220,9 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
 
 def mesh_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
     """Write a binary PLY file of a triangle mesh, millimetres, float32."""
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment simulated scan, millimetres\n"
-        f"element vertex {len(vertices)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    faces = np.empty(len(triangles), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
-    faces["count"], faces["corners"] = 3, triangles
-    return header.encode("ascii") + np.ascontiguousarray(vertices, "<f4").tobytes() + faces.tobytes()
+    properties = [f"float {axis}" for axis in "xyz"]
+    text = ply_heading(len(vertices), len(triangles), properties, ["simulated scan, millimetres"])
+    return text.encode("ascii") + np.ascontiguousarray(vertices, "<f4").tobytes() + faces(triangles)
 
 
 class ObjectTruthWriter(TruthWriter):

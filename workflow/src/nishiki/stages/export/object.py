@@ -19,7 +19,8 @@ from nishiki.brdf.texels.model import DISTANT, POINT, ViewLamp, predict
 from nishiki.colour.colour import decode, encode
 from nishiki.evaluate.object_photographs import Photographs
 from nishiki.formats.banded_pictures import ExrWriter, png_bytes, write_iiif_image
-from nishiki.formats.textured_surface import TexturedMesh, faces, heading, sample, vertices
+from nishiki.formats.mesh_heading import faces
+from nishiki.formats.textured_surface import TexturedMesh, heading, sample, vertices
 from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.optional_formats.kintsugi import write_kintsugi

@@ -16,7 +16,8 @@ from nishiki.colour.sampling import SPECTRAL_ROWS, WAVELENGTHS_NM
 from nishiki.errors import UserError, require
 from nishiki.formats.banded_pictures import EnviWriter, ExrWriter, write_tiff
 from nishiki.formats.coding import ROMM, icc_profile
-from nishiki.formats.textured_surface import faces, heading, vertices
+from nishiki.formats.mesh_heading import faces, ply_heading
+from nishiki.formats.textured_surface import heading, vertices
 from nishiki.optional_formats.reflectance_tables import write_merl
 from nishiki.render.display import normals_as_colours
 from nishiki.stages.export import mitsuba_paint, relight
@@ -172,22 +173,13 @@ def write_ply(context: Context, scene: ExportedScene) -> tuple[int, int, int]:
     step = counted = corners = 0
     for relief in reliefs(scene, most, colours=None):
         step, counted, corners = relief.step, counted + len(relief.places), corners + len(relief.triangles)
-    comments = [f"comment nishiki.{name} {text}" for name, text in context.stamp.items()]
-    heading = [
-        "ply",
-        "format binary_little_endian 1.0",
-        *comments,
-        f"comment unit {scene.unit}; x right, y up, z towards the camera; origin: middle of the picture",
-        f"element vertex {counted}",
-        *(f"property float {axis}" for axis in ("x", "y", "z", "nx", "ny", "nz")),
-        *(f"property uchar {name}" for name in ("red", "green", "blue")),
-        f"element face {corners}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
+    comments = [f"nishiki.{name} {text}" for name, text in context.stamp.items()]
+    comments.append(f"unit {scene.unit}; x right, y up, z towards the camera; origin: middle of the picture")
+    properties = [f"float {axis}" for axis in ("x", "y", "z", "nx", "ny", "nz")]
+    properties += [f"uchar {name}" for name in ("red", "green", "blue")]
     colours = scene.to_srgb()
     with open(context.output.path("exports/height.ply"), "wb") as file:
-        file.write(("\n".join(heading) + "\n").encode("ascii", "replace"))
+        file.write(ply_heading(counted, corners, properties, comments).encode("ascii", "replace"))
         for relief in reliefs(scene, most, colours=colours):
             points = np.empty(len(relief.places), VERTEX)
             points["place"], points["normal"] = relief.places, relief.normals
