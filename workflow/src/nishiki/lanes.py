@@ -226,6 +226,13 @@ def larger(typing, left, right):
 
 
 @njit(cache=True)
+def store_rows(array, start, values):
+    """Write lanes (a tuple) into the rows of an array (rows, numbers) of their kind, each from a place on."""
+    for row in range(len(values)):
+        store(array, (row, start), values[row])
+
+
+@njit(cache=True)
 def planes(count, width):
     """Make a float32 array (count, width) of zeros that begins where a register's worth of memory does.
 

@@ -23,7 +23,7 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-from nishiki.lanes import BLOCK, LANES, choose, load, planes, splat, store
+from nishiki.lanes import BLOCK, LANES, choose, load, planes, splat, store, store_rows
 from nishiki.small_matrices import factorise, substitute
 
 SUMS = 21  # 15 products and 5 right-hand sides of the Gauss-Newton step, the sum of squares
@@ -135,27 +135,8 @@ def add_products(slopes, p, sums):
         r3 += wr * e3
         r4 += wr * e4
         squares += wr * r
-    store(sums, p, m00)
-    store(sums, p + BLOCK, m01)
-    store(sums, p + 2 * BLOCK, m02)
-    store(sums, p + 3 * BLOCK, m03)
-    store(sums, p + 4 * BLOCK, m04)
-    store(sums, p + 5 * BLOCK, m11)
-    store(sums, p + 6 * BLOCK, m12)
-    store(sums, p + 7 * BLOCK, m13)
-    store(sums, p + 8 * BLOCK, m14)
-    store(sums, p + 9 * BLOCK, m22)
-    store(sums, p + 10 * BLOCK, m23)
-    store(sums, p + 11 * BLOCK, m24)
-    store(sums, p + 12 * BLOCK, m33)
-    store(sums, p + 13 * BLOCK, m34)
-    store(sums, p + 14 * BLOCK, m44)
-    store(sums, p + 15 * BLOCK, r0)
-    store(sums, p + 16 * BLOCK, r1)
-    store(sums, p + 17 * BLOCK, r2)
-    store(sums, p + 18 * BLOCK, r3)
-    store(sums, p + 19 * BLOCK, r4)
-    store(sums, p + 20 * BLOCK, squares)
+    upper = (m00, m01, m02, m03, m04, m11, m12, m13, m14, m22, m23, m24, m33, m34, m44)
+    store_rows(sums.reshape(SUMS, BLOCK), p, (*upper, r0, r1, r2, r3, r4, squares))
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -183,7 +164,6 @@ def set_surface(fit, surface):
     Tangents by T. Duff et al., Building an orthonormal basis, revisited, JCGT 6 (1), 2017. The normals of the fit
     become unit vectors.
     """
-    f = np.float32
     for p in range(BLOCK):
         x, y, z = fit[p], fit[p + BLOCK], fit[p + 2 * BLOCK]
         length = np.sqrt(x * x + y * y + z * z)
@@ -192,16 +172,10 @@ def set_surface(fit, surface):
         k = -1.0 / (sign + z)
         m = x * y * k
         fit[p], fit[p + BLOCK], fit[p + 2 * BLOCK] = x, y, z
-        surface[p], surface[p + BLOCK], surface[p + 2 * BLOCK] = f(x), f(y), f(z)
-        surface[p + 3 * BLOCK] = f(1.0 + sign * x * x * k)
-        surface[p + 4 * BLOCK] = f(sign * m)
-        surface[p + 5 * BLOCK] = f(-sign * x)
-        surface[p + 6 * BLOCK] = f(m)
-        surface[p + 7 * BLOCK] = f(sign + y * y * k)
-        surface[p + 8 * BLOCK] = f(-y)
-        surface[p + 9 * BLOCK] = f(fit[p + 3 * BLOCK])
-        surface[p + 10 * BLOCK] = f(fit[p + 4 * BLOCK])
-        surface[p + 11 * BLOCK] = f(fit[p + 5 * BLOCK])
+        across, along = (1.0 + sign * x * x * k, sign * m, -sign * x), (m, sign + y * y * k, -y)
+        terms = (fit[p + 3 * BLOCK], fit[p + 4 * BLOCK], fit[p + 5 * BLOCK])
+        for row, value in enumerate((x, y, z, *across, *along, *terms)):
+            surface[p + row * BLOCK] = np.float32(value)
 
 
 @njit(cache=True, error_model="numpy")

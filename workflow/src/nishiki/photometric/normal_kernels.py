@@ -5,7 +5,7 @@ from collections import namedtuple
 import numpy as np
 from numba import njit
 
-from nishiki.lanes import BLOCK, LANES, choose, load, planes, root, splat, store
+from nishiki.lanes import BLOCK, LANES, choose, load, planes, root, splat, store, store_rows
 from nishiki.photometric.flags import COPLANAR, NO_ESTIMATE, NormalFlag
 from nishiki.photometric.lobe import choose_samples, descend, make_fit, take_lanes, tangential_variance
 from nishiki.small_matrices import eigenvalues, inverse
@@ -46,12 +46,9 @@ def solve_block(right, inverse_of, count, weight, solved):
         along = x * (m0 * x + (m1 * y + m2 * z) * 2.0) + y * (m3 * y + m4 * z * 2.0) + z * m5 * z
         trace = m0 + m3 + m5 - along
         sigma = root(choose(trace > 0.0, trace, 0.0) * variance) / length
-        store(solved, (0, p), x)
-        store(solved, (1, p), y)
-        store(solved, (2, p), z)
-        store(solved, (3, p), length)
-        store(solved, (4, p), choose(residual < LARGEST, residual, LARGEST))
-        store(solved, (5, p), choose(sigma < 0.5 * np.pi, sigma, 0.5 * np.pi))
+        residual = choose(residual < LARGEST, residual, LARGEST)
+        sigma = choose(sigma < 0.5 * np.pi, sigma, 0.5 * np.pi)
+        store_rows(solved, p, (x, y, z, length, residual, sigma))
 
 
 @njit(cache=True, error_model="numpy")
@@ -68,12 +65,8 @@ def condition_block(matrices, count, conditions, inverses):
         m0, m1, m2, m3, m4, m5 = inverse(a, b, c, d, e, f)
         sound = (load(count, p) >= 3.0) & (least > largest / COPLANAR) & (m0 > 0.0) & (m3 > 0.0) & (m5 > 0.0)
         store(conditions, p, choose(sound, largest / least, np.inf))
-        store(inverses, (0, p), choose(sound, m0, 0.0))
-        store(inverses, (1, p), choose(sound, m1, 0.0))
-        store(inverses, (2, p), choose(sound, m2, 0.0))
-        store(inverses, (3, p), choose(sound, m3, 0.0))
-        store(inverses, (4, p), choose(sound, m4, 0.0))
-        store(inverses, (5, p), choose(sound, m5, 0.0))
+        for row, value in enumerate((m0, m1, m2, m3, m4, m5)):
+            store(inverses, (row, p), choose(sound, value, 0.0))
 
 
 @njit(cache=True, error_model="numpy")

@@ -21,7 +21,7 @@ Conditions of loops over pixels are joined by & and |: the compiler makes scalar
 import numpy as np
 from numba import njit
 
-from nishiki.lanes import BLOCK, LANES, choose, larger, load, planes, root, smaller, splat, store
+from nishiki.lanes import BLOCK, LANES, choose, larger, load, planes, root, smaller, splat, store, store_rows
 from nishiki.photometric.flags import NOISE
 from nishiki.small_matrices import solve_by_cofactors
 
@@ -66,16 +66,7 @@ def add_up(values, weights, products, sums):
             y += wv * products[j, 7]
             z += wv * products[j, 8]
             total += w
-        store(sums, p, xx)
-        store(sums, p + BLOCK, xy)
-        store(sums, p + 2 * BLOCK, xz)
-        store(sums, p + 3 * BLOCK, yy)
-        store(sums, p + 4 * BLOCK, yz)
-        store(sums, p + 5 * BLOCK, zz)
-        store(sums, p + 6 * BLOCK, x)
-        store(sums, p + 7 * BLOCK, y)
-        store(sums, p + 8 * BLOCK, z)
-        store(sums, p + 9 * BLOCK, total)
+        store_rows(sums.reshape(TERMS, BLOCK), p, (xx, xy, xz, yy, yz, zz, x, y, z, total))
 
 
 @njit(cache=True, error_model="numpy")
