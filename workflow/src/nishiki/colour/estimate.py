@@ -36,13 +36,6 @@ from nishiki.threads import threads as given_threads
 
 UNIT_TOLERANCE = 0.01  # beyond 0 .. 1 at which a reflectance is flagged
 METHODS = ("paper", "wiener", "local")
-FLAG_MEANINGS = {
-    SpectralFlag.OUTSIDE_UNIT: "reflectance outside [0, 1] beyond the tolerance",
-    SpectralFlag.OUTSIDE_TRAINING: "response unlike every training response: the estimate falls back to the linear map",
-    SpectralFlag.NOT_FINITE: "response or result not finite: coefficients and standard deviation set to 0",
-    SpectralFlag.ILL_CONDITIONED: "camera and lamp cannot separate the bases: minimum-norm solution",
-    SpectralFlag.NEGATIVE_RESPONSE: "negative response in some channel (noise in the dark)",
-}
 
 
 @dataclass(frozen=True)
@@ -87,7 +80,7 @@ class SpectralField:
     coefficients: np.ndarray  # (..., K) float32
     # (...) float32, expected root-mean-square error over the bands for a surface like those of the training set
     sigma: np.ndarray
-    flags: np.ndarray  # (...) uint8, bits of `FLAG_MEANINGS`
+    flags: np.ndarray  # (...) uint8, bits of `SpectralFlag`
     basis: np.ndarray  # (K, 61) float64
     condition: float  # cond(H)
     counts: dict[str, int] = field(default_factory=dict)  # pixels by flag name
@@ -208,7 +201,7 @@ def estimate_spectra(
     SpectralField
         `spectra()` gives the (..., 61) float64 reflectances over 400 to 700 nm in steps of 5 nm, not clipped;
         `coefficients` (..., K) float32 on the `basis` (K, 61); `sigma` (...) float32, the expected root mean square
-        error over the bands; `flags` (...) uint8, the bits of `FLAG_MEANINGS`.
+        error over the bands; `flags` (...) uint8, the bits of `nishiki.colour.kernels.SpectralFlag`.
 
     Raises
     ------

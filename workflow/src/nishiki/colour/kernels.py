@@ -16,13 +16,13 @@ DARK = 0.05  # mean response at which the correction has half its weight: black 
 
 
 class SpectralFlag(IntEnum):
-    """Bits of a pixel's flags; `nishiki.colour.estimate.FLAG_MEANINGS` explains them."""
+    """Bits of a pixel's flags."""
 
-    OUTSIDE_UNIT = 1
-    OUTSIDE_TRAINING = 2
-    NOT_FINITE = 4
-    ILL_CONDITIONED = 8
-    NEGATIVE_RESPONSE = 16
+    OUTSIDE_UNIT = 1  # reflectance outside 0 to 1 beyond the tolerance
+    OUTSIDE_TRAINING = 2  # response unlike every training response: the estimate falls back to the linear map
+    NOT_FINITE = 4  # response or result not finite: coefficients and standard deviation set to 0
+    ILL_CONDITIONED = 8  # camera and lamp cannot separate the bases: minimum-norm solution
+    NEGATIVE_RESPONSE = 16  # negative response in some channel (noise in the dark)
 
 
 @njit(cache=True, error_model="numpy")
