@@ -13,8 +13,8 @@ import pytest
 import nishiki
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture
-from nishiki.capture.lights import from_angles
 from nishiki.formats.problems import CaptureError
+from nishiki.goniometry.directions import unit
 
 ROWS, COLUMNS, WIDTH_MM = 30, 40, 120.0
 AZIMUTH = np.radians(np.arange(12) * 30 + 7.0)
@@ -150,7 +150,7 @@ def test_angles_are_refused_by_name_and_read_when_their_kind_is_given(tmp_path, 
     assert problem.kind == "lights-angles"
     assert f"--lights-kind {kind}" in problem.remedy
     capture, _ = captured(source, tmp_path / "c", lights_kind=kind)
-    np.testing.assert_allclose(capture.directions, from_angles(azimuth, np.pi / 2 - ELEVATION), atol=1e-5)
+    np.testing.assert_allclose(capture.directions, unit(np.pi / 2 - ELEVATION, azimuth), atol=1e-5)
 
 
 def test_the_wrong_kind_of_angle_is_contradicted_by_the_photographs(tmp_path):

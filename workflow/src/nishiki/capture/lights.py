@@ -22,6 +22,7 @@ from nishiki.errors import require
 from nishiki.formats.files import bound, read_bytes
 from nishiki.formats.problems import Problem, error, raise_errors, refuse, warning
 from nishiki.formats.text_tables import cells_of, expect_rows, label_problems, reading
+from nishiki.goniometry.directions import unit
 from nishiki.photometric.arrangement import turn_axes
 
 IMAGE_SUFFIX = re.compile(r"\.(png|tiff?|jpe?g|exr|bmp|dng|cr[23w]|nef|arw|raf|orf|rw2|pef|srw|tga)$", re.IGNORECASE)
@@ -307,11 +308,6 @@ def _parse_table(text: str, file: str, *, counted: bool) -> tuple[list[Any], lis
             problems.append(error("lights-unreadable", f"{file} line {number}", what))
             continue
         names.append(row["light"])
-        vectors.append(values if len(values) == 3 else from_angles(*np.radians(values)).tolist())
+        vectors.append(values if len(values) == 3 else unit(*np.radians(values[::-1])).tolist())
     raise_errors(problems)
     return names, vectors
-
-
-def from_angles(azimuth: np.ndarray, polar: np.ndarray) -> np.ndarray:
-    """Compute directions (..., 3) from azimuths (x towards y) and angles from the normal, in radians."""
-    return np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)

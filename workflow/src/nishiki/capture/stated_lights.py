@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.capture.lights import Lights, from_angles, is_unicode, light_name, lights_from_vectors, read_numbers
+from nishiki.capture.lights import Lights, is_unicode, light_name, lights_from_vectors, read_numbers
 from nishiki.capture.options import ANGLES
 from nishiki.capture.taking import SATURATED
 from nishiki.formats.files import same_name
 from nishiki.formats.images import read_coarse, read_header
 from nishiki.formats.problems import CaptureError, Problem, error, refuse, warning
 from nishiki.formats.text_tables import number_of
+from nishiki.goniometry.directions import unit
 from nishiki.photometric.consistency import SURE, NearLamps, measure_width, split_course
 from nishiki.photometric.lambert_fit import fit_lambert, return_none_if_undetermined, spread_pixels
 
@@ -375,4 +376,4 @@ def _from_angles(numbers: np.ndarray, kind: str) -> np.ndarray:
     angles = numbers[:, :2] * (2 * np.pi / _full_turn(numbers))
     azimuth, height = angles.T if kind.startswith("azimuth") else angles.T[::-1]
     polar = height if "polar" in kind else np.pi / 2 - height
-    return from_angles(azimuth, polar)
+    return unit(polar, azimuth)
