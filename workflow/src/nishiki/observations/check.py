@@ -68,12 +68,12 @@ def check_capture(
             contents, tick = level == "full", progress or (lambda file: None)
             if isinstance(sound, TurntableCapture):
                 problems += silhouette_problems(sound, size)
-                problems += turntable_content_problems(sound, tick) if contents else []
+                problems += attempt(lambda: turntable_content_problems(sound, tick)) if contents else []
             elif isinstance(sound, GoniometerCapture):
                 problems += look_at_windows(sound, size, contents, tick)
             else:
                 problems += _same_directions(sound) + _strength_problems(sound) + _mask_problems(sound, size)
-                problems += _content_problems(sound, judged, tick) if contents else []
+                problems += attempt(lambda: _content_problems(sound, judged, tick)) if contents else []
     distinct = list(dict.fromkeys(problems))
     return sorted(distinct, key=lambda p: p.severity != "error")
 
@@ -245,10 +245,7 @@ def _content_problems(
     capture: Capture, judged: Callable[[Judgement], None], tick: Callable[[str], None]
 ) -> list[Problem]:
     """Find problems that only decoding reveals."""
-    try:
-        reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
-    except CaptureError as e:
-        return list(e.problems)
+    reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
     _, _, rows, columns = reader.region
     edges = block_edges(rows, CHECK_BLOCK), block_edges(columns, CHECK_BLOCK)
     darks, problems = _darks(reader, edges, tick)

@@ -29,6 +29,7 @@ from nishiki.observations.frames import (
     PhotographCounter,
     Settings,
     Tick,
+    attempt,
     examine_frames,
     write_small_arrays,
 )
@@ -134,18 +135,15 @@ def look_at_windows(capture: GoniometerCapture, size: tuple[int, int], contents:
         problems += label_problems(labels, require(capture.settings.goniometer.regions)) if labels is not None else []
     except CaptureError as e:
         problems += e.problems
-    return problems + (_content_problems(capture, tick) if contents else [])
+    return problems + (attempt(lambda: _content_problems(capture, tick)) if contents else [])
 
 
 def _content_problems(capture: GoniometerCapture, tick: Tick) -> list[Problem]:
     """Find problems that only decoding reveals; every photograph is decoded once."""
-    try:
-        # the whole seal is verified apart
-        reader = restrict_to_window(FrameReader.of(capture, "all", prove=False), capture)
-        edges = picture_edges(reader.region[2:], CHECK_BLOCK)
-        darks = measure_darks(reader, edges, tick)
-    except CaptureError as e:
-        return list(e.problems)
+    # the whole seal is verified apart
+    reader = restrict_to_window(FrameReader.of(capture, "all", prove=False), capture)
+    edges = picture_edges(reader.region[2:], CHECK_BLOCK)
+    darks = measure_darks(reader, edges, tick)
     hot: list[str] = []
 
     def look(frame: Frame, decode: Callable[[], np.ndarray]) -> list[Problem]:

@@ -10,7 +10,7 @@ from nishiki.capture.turntable import TurntableCapture
 from nishiki.errors import UserError, require
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
-from nishiki.observations.frames import FrameReader, Tick, examine_frames
+from nishiki.observations.frames import FrameReader, Tick, attempt, examine_frames
 from nishiki.observations.linearise import CHECK_BLOCK, count_unusable, picture_edges
 from nishiki.observations.reference import measure_darks
 from nishiki.observations.turntable_coherence import DisplayPictures, capture_problems
@@ -153,11 +153,8 @@ def silhouette_problems(capture: TurntableCapture, size: tuple[int, int]) -> lis
 
 def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Problem]:
     """Find problems that only decoding reveals."""
-    try:
-        reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
-    except CaptureError as e:
-        return list(e.problems)
-    problems = _reference_problems(reader, tick)
+    reader = FrameReader.of(capture, "all", prove=False)  # the whole seal is verified apart
+    problems = attempt(lambda: _reference_problems(reader, tick))
     pictures, levels = DisplayPictures(capture), PolariserLevels(reader)
 
     def look(frame: Frame, decode: Callable[[], np.ndarray]) -> list[Problem]:
@@ -184,14 +181,11 @@ def turntable_content_problems(capture: TurntableCapture, tick: Tick) -> list[Pr
 def _reference_problems(reader: FrameReader[TurntableCapture], tick: Tick) -> list[Problem]:
     """List problems of dark frames and normalising white boards."""
     edges = picture_edges((reader.rows, reader.columns), CHECK_BLOCK)
-    try:
-        darks = measure_darks(reader, edges, tick)
-        # white boards and exposures are there for every light, or for none; if not, it is reported already
-        lit = [f for f in reader.capture.frames if f.role in ("sample", "white")]
-        plain = {f.light for f in lit if f.role == "white" and not f.polariser}
-        timed = sum(f.exposure is not None for f in lit)
-        complete = timed in (0, len(lit)) and (not plain or plain >= set(reader.capture.light_names))
-        whites = measure_whites(reader, darks, edges, tick).problems if complete else ()
-        return [*darks.problems, *whites]
-    except CaptureError as e:
-        return list(e.problems)
+    darks = measure_darks(reader, edges, tick)
+    # white boards and exposures are there for every light, or for none; if not, it is reported already
+    lit = [f for f in reader.capture.frames if f.role in ("sample", "white")]
+    plain = {f.light for f in lit if f.role == "white" and not f.polariser}
+    timed = sum(f.exposure is not None for f in lit)
+    complete = timed in (0, len(lit)) and (not plain or plain >= set(reader.capture.light_names))
+    whites = measure_whites(reader, darks, edges, tick).problems if complete else ()
+    return [*darks.problems, *whites]
