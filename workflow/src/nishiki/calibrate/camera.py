@@ -28,6 +28,7 @@ import yaml
 from nishiki.calibrate.result import SATURATED_SHARE, Calibration, finite, list_photographs
 from nishiki.capture.taking import SATURATED, channel_names, full_scale_of, read_channels, read_grey
 from nishiki.errors import UserError
+from nishiki.formats.banded_pictures import png_bytes
 from nishiki.formats.images import read_header
 from nishiki.formats.text_tables import number_of, table_rows
 from nishiki.geometry.board import BoardCorners, BoardShape, board_of, calibrate, detect_boards
@@ -247,14 +248,9 @@ PRINT_PX_PER_MM = 12.0
 
 def print_board(shape: BoardShape) -> tuple[str, bytes]:
     """Draw the board as SVG in millimetres and as PNG; print without scaling and measure a square afterwards."""
-    import cv2
-
     width, height = shape.squares_x * shape.square, shape.squares_y * shape.square
     cell = round(shape.square * PRINT_PX_PER_MM)
     picture = board_of(shape).generateImage((shape.squares_x * cell, shape.squares_y * cell), marginSize=0)
-    done, data = cv2.imencode(".png", picture)
-    if not done:
-        raise RuntimeError("the board could not be encoded as PNG")
     scale_x, scale_y = width / picture.shape[1], height / picture.shape[0]
     dark, parts = picture < 128, []
     starts = [0, *(np.flatnonzero((dark[1:] != dark[:-1]).any(axis=1)) + 1), len(dark)]
@@ -266,7 +262,7 @@ def print_board(shape: BoardShape) -> tuple[str, bytes]:
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:g}mm" height="{height:g}mm" '
         f'viewBox="0 0 {width:g} {height:g}"><path d="{"".join(parts)}"/></svg>\n'
     )
-    return svg, data.tobytes()
+    return svg, png_bytes(picture)
 
 
 def board_poses(pictures: Sequence[BoardCorners], lens: LensFit) -> tuple[np.ndarray, np.ndarray]:

@@ -17,6 +17,7 @@ from nishiki.capture.lights import Lights, lights_from_vectors
 from nishiki.capture.options import NO_PHOTOGRAPHS, ConvertOptions, file_problems
 from nishiki.capture.schema import FORMAT
 from nishiki.capture.taking import take, take_mask
+from nishiki.formats.banded_pictures import png_bytes
 from nishiki.formats.coding import RGB
 from nishiki.formats.files import Refused, expect_memory, files_with
 from nishiki.formats.legacy_rti import HshFile, PtmFile, open_hsh, open_ptm
@@ -164,11 +165,8 @@ def write_rendering(folder: Path, layout: RelightableRendering, source: Path, op
 
 def _render(image: RelightableImage, light: np.ndarray, path: Path) -> float:
     """Write one picture as PNG of 16 bits; return the share of clipped values."""
-    import cv2
-
     path.parent.mkdir(exist_ok=True)
     values = image.relight(light)
     codes = np.rint(65535 * np.clip(values, 0, 1)).astype(np.uint16)
-    _, coded = cv2.imencode(".png", np.ascontiguousarray(codes[..., ::-1]), [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    path.write_bytes(coded.tobytes())
+    path.write_bytes(png_bytes(codes, level=1))
     return float(np.mean((values < 0) | (values > 1)))

@@ -283,24 +283,54 @@ def write_jpeg(path: Path, picture: Samples, quality: int) -> None:
     path.write_bytes(jpeg_bytes(picture, quality))
 
 
-def jpeg_bytes(picture: Samples, quality: int) -> bytes:
-    """Encode a JPEG with full resolution of all three channels, of any meaning, and Huffman codes of its own."""
+def jpeg_bytes(picture: Samples, quality: int, *, halved: bool = False) -> bytes:
+    """Encode a JPEG with Huffman codes of its own.
+
+    Parameters
+    ----------
+    picture : (rows, columns, 3) uint8
+        Red, green, blue, or three channels of any meaning.
+    quality : int
+        Of libjpeg, 0 .. 100.
+    halved : bool
+        Whether the differences of colour have half the resolution; else all three channels have the full one.
+
+    Returns
+    -------
+    bytes
+        Content of the file.
+    """
     import cv2
 
+    sampling = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_420 if halved else cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444
     options = [
         *(cv2.IMWRITE_JPEG_QUALITY, quality),
-        *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
+        *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling),
         *(cv2.IMWRITE_JPEG_OPTIMIZE, 1),
     ]
     return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), options)[1].tobytes()
 
 
-def png_bytes(picture: Samples) -> bytes:
-    """Encode a PNG of 8 bits: red, green, blue, and alpha where there is a fourth sample."""
+def png_bytes(picture: np.ndarray, level: int | None = None) -> bytes:
+    """Encode a PNG.
+
+    Parameters
+    ----------
+    picture : (rows, columns) or (rows, columns, samples) uint8 or uint16
+        Grey, or red, green, blue, and alpha where there is a fourth sample.
+    level : int or None
+        Compression of zlib, 0 .. 9; None: the library's usual one.
+
+    Returns
+    -------
+    bytes
+        Content of the file.
+    """
     import cv2
 
-    order = [2, 1, 0, 3][: picture.shape[2]]
-    return cv2.imencode(".png", np.ascontiguousarray(picture[..., order]))[1].tobytes()
+    order = [2, 1, 0, 3][: picture.shape[2]] if picture.ndim == 3 else slice(None)
+    options = [] if level is None else [cv2.IMWRITE_PNG_COMPRESSION, level]
+    return cv2.imencode(".png", np.ascontiguousarray(picture[..., order]), options)[1].tobytes()
 
 
 def read_jpeg(path: Path) -> Samples:

@@ -15,7 +15,7 @@ import numpy as np
 
 from nishiki.colour.colour import decode, srgb_encode, xyz_to_srgb_linear
 from nishiki.errors import UserError
-from nishiki.formats.banded_pictures import ExrWriter
+from nishiki.formats.banded_pictures import ExrWriter, png_bytes
 from nishiki.installation import install_command
 
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB, IEC 61966-2-1
@@ -188,13 +188,9 @@ def _write_exr(path: Path, values: np.ndarray, names: Sequence[str], stamp: Mapp
 
 def write_png(path: Path, pixels: np.ndarray, *, stamp: Mapping[str, str], srgb: bool = True) -> None:
     """Write (rows, columns, 3) uint8 or uint16 as PNG; `srgb` marks sRGB-coded colours."""
-    import cv2
-
     if pixels.dtype not in (np.uint8, np.uint16) or pixels.ndim != 3 or pixels.shape[2] != 3:
         raise UserError(f"PNG: expected (rows, columns, 3) uint8 or uint16, found {pixels.shape} {pixels.dtype}")
-    level = [cv2.IMWRITE_PNG_COMPRESSION, 6]
-    encoded = cv2.imencode(".png", np.ascontiguousarray(pixels[..., ::-1]), level)[1]
-    _write_bytes(path, _stamped_png(encoded, stamp, srgb))
+    _write_bytes(path, _stamped_png(png_bytes(pixels, level=6), stamp, srgb))
 
 
 def write_normals_png(path: Path, normals: np.ndarray, *, stamp: Mapping[str, str]) -> None:
@@ -202,9 +198,8 @@ def write_normals_png(path: Path, normals: np.ndarray, *, stamp: Mapping[str, st
     write_png(path, normals_as_colours(normals), stamp=stamp, srgb=False)
 
 
-def _stamped_png(encoded: np.ndarray, stamp: Mapping[str, str], srgb: bool) -> bytes:
+def _stamped_png(content: bytes, stamp: Mapping[str, str], srgb: bool) -> bytes:
     """Insert the stamp as text, and a mark of sRGB colours, into a PNG before the image data."""
-    content = encoded.tobytes()
     end = len(_PNG_SIGNATURE) + 25  # of IHDR, which comes first
     notes = [_chunk(b"sRGB", b"\x00")] if srgb else []  # perceptual intent
     for name, text in stamp.items():
@@ -282,7 +277,7 @@ def write_animated_png(
     animation = cv2.Animation()
     animation.frames, animation.loop_count = pictures, 0
     animation.durations = np.full(len(pictures), round(1000 / frames_per_second))  # ms
-    _write_bytes(path, _stamped_png(cv2.imencodeanimation(".png", animation)[1], stamp, srgb=True))
+    _write_bytes(path, _stamped_png(cv2.imencodeanimation(".png", animation)[1].tobytes(), stamp, srgb=True))
     return len(pictures)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from nishiki.artifacts.maps import shrink
 from nishiki.colour.colour import decode, srgb_encode
+from nishiki.formats.banded_pictures import jpeg_bytes, png_bytes
 from nishiki.report.svg import plain
 
 # Control points in CIELAB (D65): hue and chroma only steer; lightness is replaced by an even ramp.
@@ -190,25 +191,16 @@ def hillshade(height: np.ndarray, *, step: float) -> np.ndarray:
     return np.clip(shade, 0, 1) ** 1.4
 
 
+JPEG_QUALITY = 90
+
+
 def encode_picture(codes: np.ndarray, *, lossless: bool = False, scale: Scale | None = None, key=()) -> PagePicture:
-    """Encode a picture (rows, columns, 3) uint8 sRGB as data URI: JPEG of quality 90, or PNG."""
+    """Encode a picture (rows, columns, 3) uint8 sRGB as data URI: JPEG, or PNG."""
     mime = "image/png" if lossless else "image/jpeg"
-    data = base64.b64encode(_compress(codes, lossless=lossless)).decode("ascii")
+    coded = png_bytes(codes, level=9) if lossless else jpeg_bytes(codes, JPEG_QUALITY, halved=True)
+    data = base64.b64encode(coded).decode("ascii")
     source = f"data:{mime};base64,{data}"
     return PagePicture(source, codes.shape[1], codes.shape[0], scale, key)
-
-
-def _compress(codes: np.ndarray, *, lossless: bool = False) -> bytes:
-    """Encode a JPEG of quality 90, or a PNG."""
-    import cv2
-
-    kind, options = ".jpg", [cv2.IMWRITE_JPEG_QUALITY, 90, cv2.IMWRITE_JPEG_OPTIMIZE, 1]
-    if lossless:
-        kind, options = ".png", [cv2.IMWRITE_PNG_COMPRESSION, 9]
-    done, data = cv2.imencode(kind, np.ascontiguousarray(codes[..., ::-1]), options)
-    if not done:
-        raise RuntimeError(f"a picture of shape {codes.shape} could not be encoded as {kind}")
-    return data.tobytes()
 
 
 def file_picture(data: bytes, widest: int) -> PagePicture:
@@ -225,7 +217,7 @@ def bright_picture(data: bytes, widest: int) -> tuple[PagePicture, str]:
 
 def file_jpeg(data: bytes, widest: int) -> bytes:
     """Return a PNG as the bytes of a JPEG at most `widest` pixels wide, averaged in linear light."""
-    return _compress(_shrunk(data, widest))
+    return jpeg_bytes(_shrunk(data, widest), JPEG_QUALITY, halved=True)
 
 
 def _shrunk(data: bytes, widest: int) -> np.ndarray:

@@ -51,6 +51,7 @@ from nishiki.capture.spheres.search import (
 )
 from nishiki.capture.taking import SATURATED, full_scale_of, read_grey
 from nishiki.errors import UserError
+from nishiki.formats.banded_pictures import png_bytes
 from nishiki.formats.images import read_header
 from nishiki.formats.masks import read_mask
 from nishiki.formats.problems import CaptureError, Problem, error, name_some, warning
@@ -352,9 +353,9 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
         )
         raise _refusal(source, what)
     mask = options.mask or find_mask(source)
-    files = {MIRROR_BALLS: _png(draw_findings(measured.findings)[..., ::-1])}
+    files = {MIRROR_BALLS: png_bytes(draw_findings(measured.findings))}
     if mask is None:
-        files[MASK] = _png(255 * find_free_pixels(measured.findings, whole=True).astype(np.uint8))
+        files[MASK] = png_bytes(255 * find_free_pixels(measured.findings, whole=True).astype(np.uint8))
     ahead = [i for i, towards in enumerate(measured.fit.directions) if towards[2] > LEAST_Z]
     for name in (name for i, name in enumerate(measured.names) if i not in ahead):
         measured.findings.left_out[name] = "its lamp stands in or behind the object's plane"
@@ -411,9 +412,3 @@ def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: in
     else:
         what = f"whether the balls are part of the object depends on the mask {mask.name}"
     return [*notes, warning("balls-masked", source.name, what)]
-
-
-def _png(codes: np.ndarray) -> bytes:
-    import cv2
-
-    return cv2.imencode(".png", codes)[1].tobytes()
