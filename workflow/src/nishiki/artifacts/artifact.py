@@ -14,6 +14,7 @@ import shutil
 import stat
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -234,7 +235,7 @@ def _files(folder: Path) -> Iterator[tuple[str, Path]]:
             yield below + name, Path(root, name)
 
 
-class ArtifactWriter:
+class ArtifactWriter(AbstractContextManager["ArtifactWriter"]):
     """Write one artifact in a temporary folder beside its final place; `finish` makes it appear whole.
 
     Left without `finish` (an exception, a kill), nothing appears and an earlier artifact in its place is untouched.
@@ -250,9 +251,6 @@ class ArtifactWriter:
             if at in ("", host()) and (not is_alive(process) or process == identity()):
                 shutil.rmtree(path, ignore_errors=True)
         self.folder.mkdir()
-
-    def __enter__(self) -> "ArtifactWriter":
-        return self
 
     def __exit__(self, *_: object) -> None:
         shutil.rmtree(self.folder, ignore_errors=True)

@@ -14,6 +14,7 @@ import json
 import struct
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from itertools import chain
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +26,7 @@ from nishiki.errors import NotFinite
 from nishiki.threads import in_threads, strips
 
 
-class EnviWriter:
+class EnviWriter(AbstractContextManager["EnviWriter"]):
     """Writer of `NAME.img` row by row, and of `NAME.hdr` beside it.
 
     Parameters
@@ -70,9 +71,6 @@ class EnviWriter:
             lines.append(f"map info = {{Arbitrary, 1, 1, {left:.9g}, {top:.9g}, {size}, units=mm}}")
         path.with_suffix(".hdr").write_text("\n".join(lines) + "\n", encoding="ascii", errors="replace")
         self._file = open(path, "wb")
-
-    def __enter__(self) -> "EnviWriter":
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -168,7 +166,7 @@ BLOCK_ROWS = 16  # of ZIP compression, fixed by the format
 Attribute = str | float | Sequence[float]
 
 
-class ExrWriter:
+class ExrWriter(AbstractContextManager["ExrWriter"]):
     """Writer of one scan-line picture of float32 channels, rows from top to bottom.
 
     Parameters
@@ -195,9 +193,6 @@ class ExrWriter:
         self._file.write(_header([names[k] for k in self._order], rows, columns, attributes))
         self._table = self._file.tell()
         self._file.write(bytes(8 * -(-rows // BLOCK_ROWS)))
-
-    def __enter__(self) -> "ExrWriter":
-        return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

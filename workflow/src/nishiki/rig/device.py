@@ -10,7 +10,7 @@ import re
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Protocol
@@ -125,7 +125,7 @@ class Polariser(Closable, Protocol):
 
 
 @dataclass(frozen=True)
-class Rig:
+class Rig(AbstractContextManager["Rig"]):
     """Open devices of a rig."""
 
     camera: Camera
@@ -145,9 +145,6 @@ class Rig:
             with suppress(DeviceError):  # what cannot be reached any more needs no closing
                 if device is not None:
                     device.close()
-
-    def __enter__(self) -> "Rig":
-        return self
 
     def __exit__(self, *exception: object) -> None:
         self.close()
