@@ -309,7 +309,23 @@ def test_a_photograph_that_the_others_contradict_is_left_out(clean, tmp_path, ki
 )
 def test_sound_photographs_contradict_nothing(data, tmp_path, name):
     convert(data / name, tmp_path / "c")
-    assert "photograph-contradicts" not in {p.kind for p in check_capture(tmp_path / "c", level="full")}
+    kinds = {p.kind for p in check_capture(tmp_path / "c", level="full")}
+    assert not kinds & {"photograph-contradicts", "room-light-differs"}
+
+
+@pytest.mark.slow
+def test_photographs_with_light_of_the_room_that_others_lack_are_left_out(data, tmp_path):
+    sound, _, _ = digitise(data / "uw_cat", tmp_path, "sound")
+    folder = tmp_path / "s"
+    shutil.copytree(data / "uw_cat", folder)
+    for path in (folder / "cat.4.png", folder / "cat.9.png"):
+        cv2.imwrite(str(path), cv2.add(cv2.imread(str(path)), (30, 30, 30, 0)))
+    field, diagnostics, _ = digitise(folder, tmp_path)
+    assert set(diagnostics["corrections"]["done"]["left_out"]) == {"cat.4", "cat.9"}
+    problems = check_capture(tmp_path / "c", level="full")
+    files = {problem.file for problem in problems if problem.kind == "room-light-differs"}
+    assert files == {"frames/cat.4.png", "frames/cat.9.png"}
+    assert difference(field, sound) < 3  # 12 where they stay
 
 
 @pytest.mark.long

@@ -301,7 +301,7 @@ def _entry_of(source: Path, archive: Path) -> ArchiveEntry:
 JUDGED = (
     *("camera-moved", "lamps-near", "lamp-failed", "photograph-repeated", "photograph-contradicts", "room-light"),
     *("lights-axes-undecided", "lights-heights-undecided", "curves-differ", "white-exchanged", "white-disagrees"),
-    *("view-contradicts", "views-contradict", "mesh-placement"),
+    *("room-light-differs", "view-contradicts", "views-contradict", "mesh-placement"),
 )
 """Kinds of warnings from comparing photographs with each other, which `convert` passes on."""
 

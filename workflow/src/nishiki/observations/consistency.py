@@ -376,6 +376,10 @@ def useless_photographs(judgement: Judgement, found: Consistency | None) -> dict
     for j, angle in found.find_strangers(judgement.directions).items():
         reason = f"the others contradict it, and its light seems to come from {angle:.0f} degrees off its lamp"
         useless.setdefault(j, ("photograph-contradicts", reason))
+    for j, level in found.find_lit(judgement.directions).items():
+        error_of_level = error_text(100 * found.offset_sigma[j], 1)
+        reason = f"it holds light of the room, {100 * level:.1f} {error_of_level} % of a frontal lamp, that others lack"
+        useless.setdefault(j, ("room-light-differs", reason))
     return useless
 
 

@@ -29,7 +29,7 @@ from nishiki.photometric.lambert_fit import (
     return_none_if_undetermined,
     spread_pixels,
 )
-from nishiki.photometric.order_trials import STEEPEST
+from nishiki.photometric.order_trials import STEEPEST, loosen
 
 TURNS = 4  # of measuring the ambient light and fitting what it leaves
 FEWEST_PIXELS = 24  # lit by a lamp: eight for each of the three numbers of its direction
@@ -61,6 +61,11 @@ STRANGE_DEG, DOUBTED = 8.0, 3.0  # and its standard errors: it is compared with 
 STRANGE_TURN, MISFITTING, STRANGE_MISFIT = 4.5, 2.0, 10.0
 MOST_STRANGE = 0.1  # of the photographs: of a part of the fossil, 8 of 41 sound ones showed lamps 20 degrees off
 WORST_LAW = 0.05  # of the brightness, usual misfit from which none is judged: cast shadows under low lamps look strange
+# light of the room in single photographs, relative to the albedo, least where lamps are many, see `loosen`: .05 on a
+# sound grey sphere; and the misfit that it leaves: .86 and more on other sound sets
+LEAST_OFFSET, MOST_OFFSET, LEFT_BY_ROOM = 0.06, 0.5, 0.85
+LEAST_PLAIN = 0.78  # of such a photograph's samples that hold no gloss, which lifts a flat thing as a whole
+MOST_LIT = 1 / 3  # of the photographs: the others are the measure
 LAW_ERROR = 0.1  # of the width, by which rough and glossy matter shift it: 0 to 0.2 under a ring of lamps
 SURE = 5.0  # standard errors at which a difference counts: once in two million by chance
 
@@ -78,6 +83,7 @@ class Consistency:
     # frontal lamp, and its standard error; the ambient light that all photographs share is included
     offset: np.ndarray
     offset_sigma: np.ndarray
+    left: np.ndarray  # (lights,) float64: share of the robust misfit that is left where such light explains it
     direction: np.ndarray  # (lights, 3) float64: unit vector to the lamp that explains the photograph
     direction_sigma_deg: np.ndarray  # (lights,) float64: standard error of that direction, degrees
     failed: tuple[int, ...]  # photographs in which the lamp did not burn
@@ -103,7 +109,7 @@ class Consistency:
         accused.
         """
         usual = np.nanmedian(self.residual)
-        if len(directions) < FEWEST_JUDGED or not usual < WORST_LAW or not self.holds(directions):
+        if not self._tells_single_ones(directions):
             return {}
         angle = np.degrees(np.arccos(np.clip((self.direction * directions).sum(axis=1), -1, 1)))
         misfit = self.residual / usual
@@ -111,6 +117,24 @@ class Consistency:
         strange = (turned & (misfit > MISFITTING)) | (misfit > STRANGE_MISFIT)
         found = np.flatnonzero(strange & (angle > STRANGE_DEG) & (self.matt > LEAST_MATT))
         return {int(j): float(angle[j]) for j in found if len(found) <= max(2, MOST_STRANGE * len(directions))}
+
+    def find_lit(self, directions: np.ndarray) -> dict[int, float]:
+        """Find photographs with light of the room that most others lack, by number, with its level as `offset`.
+
+        directions (lights, 3). A lamp of any strength and direction does not explain them, and such light does.
+        """
+        if not self._tells_single_ones(directions):
+            return {}
+        more = self.offset - np.nanmedian(self.offset)
+        plain = (self.matt > LEAST_PLAIN) & (self.offset < MOST_OFFSET)
+        sure = more > np.maximum(LEAST_OFFSET * loosen(len(directions)), SURE * self.offset_sigma)
+        found = np.flatnonzero(plain & sure & (self.left < LEFT_BY_ROOM))
+        return {int(j): float(more[j]) for j in found if len(found) <= MOST_LIT * len(directions)}
+
+    def _tells_single_ones(self, directions: np.ndarray) -> bool:
+        """Check whether the others predict a photograph so well that one of them stands out."""
+        few = len(directions) < FEWEST_JUDGED
+        return not few and bool(np.nanmedian(self.residual) < WORST_LAW) and self.holds(directions)
 
 
 @return_none_if_undetermined
@@ -279,7 +303,7 @@ def _compare(
     count = len(values)
     albedo = np.linalg.norm(fit.normals, axis=1)
     predictions = values - fit.alone - fit.ambient * albedo
-    offset, offset_sigma, residual, sigma_deg = np.full((4, count), np.nan)
+    offset, offset_sigma, left, residual, sigma_deg = np.full((5, count), np.nan)
     found = np.full((count, 3), np.nan)
     used = fit.weights > 0
     judged = used.sum(axis=1) >= FEWEST_PIXELS
@@ -290,24 +314,37 @@ def _compare(
     lamps = (fit.gains[:, None, None] * directions.reshape(count, -1, 3))[judged]
     step = (alone * fit.weights[judged] / fit.scale**2)[:, :, None] * np.einsum("sab,jsb->jsa", fit.inverses, lamps)
     others = fit.normals - np.where(np.isfinite(step), step, 0.0)
-    vectors, covariance = regress(others, own - fit.ambient * albedo, used, patches)
+    # with a lamp of any strength and direction, for what rough matter shows of its own is no light of the room
+    lit_too = np.concatenate([others, np.broadcast_to(albedo[:, None], (*predicted.shape, 1))], axis=2)
+    (vectors, covariance, cost), (line, errors, cost_with_room) = (
+        _explain(fit, terms, target, used, patches)
+        for terms, target in ((others, own - fit.ambient * albedo), (lit_too, own))
+    )
     length = np.maximum(np.linalg.norm(vectors, axis=1), 1e-300)
     found[judged] = units = vectors / length[:, None]
     across = np.eye(3) - units[:, :, None] * units[:, None]
     variance = np.trace(across @ covariance @ across, axis1=1, axis2=2)
     sigma_deg[judged] = np.degrees(np.sqrt(np.maximum(variance, 0.0)) / length)
-    terms = np.stack([predicted, np.broadcast_to(albedo, predicted.shape)], axis=2)
-    line, covariance = regress(terms, own, used, patches)
-    offset[judged], offset_sigma[judged] = line[:, 1], np.sqrt(np.maximum(covariance[:, 1, 1], 0.0))
+    offset[judged], offset_sigma[judged] = line[:, 3], np.sqrt(np.maximum(errors[:, 3, 3], 0.0))
+    left[judged] = cost_with_room / cost
     # gains are hardly determined on a flat object, and metal is dark beside its highlights: the brightest parts decide
     level = np.nanpercentile(values - fit.ambient * albedo, 99, axis=1)
     sigma = np.sqrt(np.diag(fit.covariance))
     dark = (fit.gains + SURE * sigma < FAINT) & (level < FAINT * np.nanmedian(level))
     failed = tuple(np.flatnonzero(dark).tolist())
     repeats = _find_repeated(values, predictions, residual, failed)
-    shown = residual, fit.gains, sigma, offset, offset_sigma, found, sigma_deg
+    shown = residual, fit.gains, sigma, offset, offset_sigma, left, found, sigma_deg
     matt = 1 - may_shine(directions.reshape(count, -1, 3), fit.normals).mean(axis=1)
     return Consistency(*shown, failed, repeats, *ambient, fit.covariance, matt)
+
+
+def _explain(
+    fit: Fit, terms: np.ndarray, target: np.ndarray, used: np.ndarray, patches: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Solve for photographs as `regress` does, and return their robust misfit (lights,) too."""
+    solution, covariance = regress(terms, target, used, patches)
+    rest = np.where(used, (target - (terms @ solution[:, :, None])[..., 0]) / (KINK * fit.scale), np.nan)
+    return solution, covariance, np.nanmean(np.log1p(rest**2), axis=1)
 
 
 def _find_repeated(

@@ -35,11 +35,11 @@ class Correct(Closed):
         "auto", description="auto: strengths of the lamps from the photographs, where no board or table has them"
     )
     leave_out: Literal["auto", "never"] = Field(
-        "auto", description="auto: without photographs whose lamp failed, or that repeat another one"
+        "auto", description="auto: without photographs of failed lamps, repeated or odd ones, or with more room light"
     )
 
 
-class IngestSettings(Guarded, stage="ingest", version=7, limits=LIMITS):
+class IngestSettings(Guarded, stage="ingest", version=8, limits=LIMITS):
     """Photographs to linear, white-normalised observations."""
 
     channels: str = Field(
