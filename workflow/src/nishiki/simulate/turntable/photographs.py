@@ -194,8 +194,11 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         write_csv(capture / "lights.csv", rows)
     if options.mesh == "scan":
         surface = make_surface(settings.scan_triangles) if settings.scan_triangles else scene.surface
-        points = scan(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed)
-        (capture / "object.ply").write_bytes(mesh_bytes(*points))
+        points, triangles = scan(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed)
+        properties, comments = [f"float {axis}" for axis in "xyz"], ["simulated scan, millimetres"]
+        text = ply_heading(len(points), len(triangles), properties, comments).encode("ascii")
+        values = np.ascontiguousarray(points, "<f4").tobytes() + faces(triangles)
+        (capture / "object.ply").write_bytes(text + values)
     write_description(
         capture,
         f"Simulated jar on a turntable (seed {settings.seed})",
@@ -216,13 +219,6 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         truth_attributes(settings, views),
         readme("turntable", settings=settings, stray=STRAY, reflectance=BOARD_REFLECTANCE),
     )
-
-
-def mesh_bytes(vertices: np.ndarray, triangles: np.ndarray) -> bytes:
-    """Write a binary PLY file of a triangle mesh, millimetres, float32."""
-    properties = [f"float {axis}" for axis in "xyz"]
-    text = ply_heading(len(vertices), len(triangles), properties, ["simulated scan, millimetres"])
-    return text.encode("ascii") + np.ascontiguousarray(vertices, "<f4").tobytes() + faces(triangles)
 
 
 class ObjectTruthWriter(TruthWriter):
