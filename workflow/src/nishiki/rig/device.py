@@ -308,16 +308,6 @@ class SerialLine:
         except OSError as error:  # SerialTimeoutException is one
             raise self._lost(f"cannot be sent ({error})") from None
 
-    def receive(self, timeout_s: float) -> str | None:
-        """Return the next complete line without its ending; None on a timeout (its beginning stays in the buffer).
-
-        Raises DeviceLost where the port has gone, or the device has restarted.
-        """
-        line = self._next_line(time.monotonic() + timeout_s)
-        if line is not None:
-            self._expect_no_restart(line)
-        return line
-
     def ask(
         self,
         text: str,
@@ -355,7 +345,10 @@ class SerialLine:
     def answer(
         self, expect: str, timeout_s: float, refused: str = "", explain: Callable[[re.Match[str]], str] | None = None
     ) -> re.Match[str]:
-        """Wait for an answer to the line sent last; parameters and errors as of `ask`."""
+        """Wait for an answer to the line sent last; parameters and errors as of `ask`.
+
+        The beginning of a line that is not complete in time stays in the buffer.
+        """
         lines: list[str] = []
         end = time.monotonic() + timeout_s
         while (line := self._next_line(end)) is not None:
