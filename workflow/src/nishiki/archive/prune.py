@@ -10,6 +10,7 @@ import os
 import re
 import shutil
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -232,8 +233,6 @@ def remove(items: Iterable[Item], tell: Callable[[Item], None]) -> tuple[int, li
         parents |= {item.folder.parent, item.folder.parents[1]}
         tell(item)
     for folder in sorted(parents, key=lambda path: -len(path.parts)):
-        try:
+        with suppress(OSError):  # not empty, which is the rule
             folder.rmdir()
-        except OSError:
-            continue  # not empty, which is the rule
     return total, failed

@@ -4,6 +4,7 @@ A damaged or hostile header may claim any size; what it claims is compared with 
 bounds of `nishiki.formats.files`, and only then is the file decoded. Channels come in the order red, green, blue."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -129,11 +130,9 @@ def expect_channels(header: ImageHeader, channels: tuple[str, ...], name: str) -
     if header.channels == count or (header.alpha and header.channels == count + 1):
         return
     if header.kind == "exr":
-        try:
+        with suppress(ValueError):
             match_channels(header.names, channels)
             return
-        except ValueError:
-            pass
     found = f"{header.channels} ({', '.join(header.names)})" if header.names else f"{header.channels}"
     expected = f"{count} ({', '.join(channels)})"
     remedy = "Leave it out if the other photographs have these channels, else list its own under camera.channels"

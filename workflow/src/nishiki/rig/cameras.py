@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -105,10 +106,8 @@ class GPhotoCamera:
         """Release the camera; a second call does nothing."""
         camera, self.camera = self.camera, None
         if camera is not None:
-            try:
+            with suppress(self.gphoto.GPhoto2Error):  # it has gone already
                 camera.exit()
-            except self.gphoto.GPhoto2Error:
-                pass  # it has gone already
 
     def _expose(self) -> set[tuple[str, str]]:
         """Release, and wait for all files of the exposure; return their folders and names on the camera."""

@@ -7,6 +7,7 @@ continued. The dome's computer answers in words, and lights all diodes when it s
 
 import re
 import time
+from contextlib import suppress
 from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
@@ -155,10 +156,8 @@ class HomeMadeLamps(_Device):
     def close(self) -> None:
         """Switch the lamps off and close the line."""
         if self.line.serial.is_open:
-            try:
+            with suppress(DeviceError):  # it has gone
                 self.ask(self.settings.dark)
-            except DeviceError:
-                pass  # it has gone
             self.line.close()
 
 

@@ -7,6 +7,7 @@ import threading
 import time
 import tty
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 BOOT_S = 0.05
@@ -147,7 +148,5 @@ class SimulatedLine(threading.Thread):
 
     def _write(self, data: bytes) -> None:
         if self.master is not None and self.opened:
-            try:
+            with suppress(OSError):  # the program has closed the port
                 os.write(self.master, data)
-            except OSError:
-                pass  # the program has closed the port
