@@ -234,7 +234,7 @@ def sample_view(
     slack = tolerance * depths * (footprint + across * depths / facing[index])
     shown = (depths > 0) & ((pixels >= 0) & (pixels <= np.array(depth.shape[::-1]) - 1)).all(axis=1)
     index, pixels, depths, slack = (a[shown] for a in (index, pixels, depths, slack))
-    near = _around(pixels, depth.shape)
+    near = _around(pixels)
     agree = [np.abs(depth[place] - depths) <= slack for place, _ in near]
     seen = np.all(agree, axis=0)
     index = index[seen]
@@ -248,7 +248,7 @@ def sample_view(
     return sampled
 
 
-def _around(pixels: np.ndarray, shape: tuple[int, ...]) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
+def _around(pixels: np.ndarray) -> list[tuple[tuple[np.ndarray, np.ndarray], np.ndarray]]:
     """Find rows and columns of the four pixels about places (n, 2) (column, row) in a picture, and their weights.
 
     A pixel without weight may not exist: the place's own stands for it.
