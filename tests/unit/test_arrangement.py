@@ -1,5 +1,7 @@
 """A wrong order of the lamps and wrong axes are found with the right remedy; sound sets are left as they are."""
 
+import shutil
+
 import cv2
 import numpy as np
 import pytest
@@ -237,6 +239,20 @@ def test_convert_refuses_with_an_option_that_mends(tmp_path, fault, kind):
     mended = load_capture(tmp_path / "capture").lights.directions
     half_turn = [1, 1, 1] if kind == "lights-order" else [-1, -1, 1]
     assert np.allclose(mended, directions, atol=1e-4) or np.allclose(mended * half_turn, directions, atol=1e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chosen", [(0, 18, 30, 40, 45, 58, 62, 71), (1, 38, 51, 58, 69, 71)])
+def test_no_order_is_named_that_gloss_suits_by_chance_under_few_lamps(tmp_path, data, chosen):
+    """Half of the coin's photographs is predicted worse than to 10 %, and plain orders of few are many."""
+    source, folder = data / "foreign/neuralrti", tmp_path / "s"
+    folder.mkdir()
+    lines = (source / "dirs.lp").read_text().splitlines()[1:]
+    for j in chosen:
+        shutil.copy(source / lines[j].split()[0], folder)
+    (folder / "dirs.lp").write_text("\n".join([str(len(chosen)), *(lines[j] for j in chosen)]))
+    kinds = {p.kind for p in convert(folder, tmp_path / "c", examine=examine).warnings}
+    assert not kinds & {"lights-order", "lights-axes"}
 
 
 def test_convert_passes_on_what_photographs_say_of_each_other(tmp_path):

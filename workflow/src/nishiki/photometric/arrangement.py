@@ -368,15 +368,18 @@ def measure_in_errors(differences: np.ndarray) -> np.ndarray:
 def _beyond_doubt(first: tuple[OrderTrial, int], other: tuple[OrderTrial, int]) -> bool:
     """Check whether one test is sure, and the other does not contradict it.
 
-    The residual alone is believed of orders by which people err, and not of one in thousands that fits by chance.
+    The residual alone is believed of orders by which people err, and not of one in thousands that fits by chance, and
+    where the law holds: under few lamps gloss and cast shadows suit one of the plain orders to a half by chance.
     """
     residual, curl, left = _compare(first, other)
     if curl > SURE and residual > -DOUBTFUL and measure_in_errors(0.25 - _shares(other)) > SURE:
         return True
     moved, plain = _pattern(first[0].order, other[0].order)
-    usual = plain or moved <= _few(len(first[0].order))
+    count = len(first[0].order)
+    usual = (plain or moved <= _few(count)) and count >= FEWEST_JUDGED
     fitting = np.nanmedian(first[0].misfit) < 2 * NOISE  # there is nothing to gain but rounding
-    return residual > SURE and left < HALVED and curl > -DOUBTFUL and usual and not fitting
+    explained = left < HALVED / loosen(count) and np.nanmedian(other[0].misfit) < WORST_LAW
+    return residual > SURE and explained and curl > -DOUBTFUL and usual and not fitting
 
 
 def _measure_asymmetry(lamps: np.ndarray) -> float:
