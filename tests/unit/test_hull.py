@@ -36,7 +36,12 @@ def test_field_agrees_with_points_asked_one_by_one(body, distortion):
     points = np.random.default_rng(1).uniform(-1, 1, (20000, 3))
     for misses in (0, 1, 2):
         field = astuple(field_of(masks, cameras))
-        value = np.array([at_point(field, -1, p, misses, FAR, np.empty(3), np.empty(misses + 1)) for p in points])
+        value = np.array(
+            [
+                at_point(field, np.arange(len(field[0])), p, misses, FAR, np.empty(3), np.empty(misses + 1))
+                for p in points
+            ]
+        )
         expected = in_all(points, masks, cameras, misses)
         pixel = 5.0 / 260
         clear = np.abs(value) > 1.2 * pixel
@@ -123,6 +128,16 @@ def test_box_holds_every_point_inside_all_silhouettes(distortion):
     assert (inside >= found[0]).all()
     assert (inside <= found[1]).all()
     assert (np.ptp(inside, axis=0) > 0.8 * (found[1] - found[0])).all()
+
+
+def test_the_box_that_forgives_a_view_holds_the_boxes_without_each():
+    cameras = turn()
+    masks = [box(camera) for camera in cameras]
+    others = [[k for k in range(len(cameras)) if k != left] for left in range(len(cameras))]
+    boxes = np.array([bounding_box([masks[k] for k in each], [cameras[k] for k in each]) for each in others])
+    expected = [boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)]
+    np.testing.assert_allclose(bounding_box(masks, cameras, misses=1), expected, atol=1e-9)
+    assert np.ptp(boxes, axis=0).max() > 1e-3
 
 
 def test_box_follows_the_unit_and_the_place_of_the_world():

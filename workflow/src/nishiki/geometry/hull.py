@@ -133,44 +133,50 @@ def bounding_box(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera]
     _expect_two(len(planes))
     middle = np.mean([camera.centre for camera in cameras], axis=0)
     size = max(float(np.linalg.norm(camera.centre - middle)) for camera in cameras) or 1.0
-    boxes = [] if misses else [_extent(planes, middle, size)]
+    boxes = [] if misses else [_extent(planes, middle, size)[0]]
     for _ in range(min(misses, len(planes) - 2)):
         freed, failure = [], None
-        for place in range(len(planes)):
+        try:
+            binding = _extent(planes, middle, size)[1]
+        except UserError:
+            binding = range(len(planes))
+        for place in binding:
             try:
-                freed.append((_extent(planes[:place] + planes[place + 1 :], middle, size), place))
+                freed.append((_extent(planes[:place] + planes[place + 1 :], middle, size)[0], place))
             except UserError as error:
                 failure = error
         if failure and not freed:
             raise failure
         boxes += [extent for extent, _ in freed]
         del planes[max(freed, key=lambda item: float(np.prod(item[0][1] - item[0][0])))[1]]
-    spans = np.stack(boxes or [_extent(planes, middle, size)])
+    spans = np.stack(boxes or [_extent(planes, middle, size)[0]])
     return np.array([spans[:, 0].min(axis=0), spans[:, 1].max(axis=0)])
 
 
-def _extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:
-    """Find the extent (2, 3) of the space within all planes; start: the cameras' middle and the size of their ring.
+def _extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> tuple[np.ndarray, list[int]]:
+    """Find the extent (2, 3) of the space within all planes, and the places of the views that bind it.
+
+    It stays the same without any one other view. Start: the cameras' middle and the size of their ring.
 
     The solver's tolerance is absolute: solved again in units of the box that was found, which can be small beside the
     cameras' distance.
     """
-    box = _solve_extent(planes, middle, size)
+    box, binding = _solve_extent(planes, middle, size)
     for _ in range(2):
         half = float((box[1] - box[0]).max()) / 2
         if half > 0.1 * size:
             break
         middle, size = box.mean(axis=0), max(half, 1e-9 * size)
-        box = _solve_extent(planes, middle, size)
-    return box
+        box, binding = _solve_extent(planes, middle, size)
+    return box, binding
 
 
-def _solve_extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> np.ndarray:
-    """Solve for the extent (2, 3), see `_extent`; positions in steps of size from the middle."""
+def _solve_extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> tuple[np.ndarray, list[int]]:
+    """Solve for extent and binding views, see `_extent`; positions in steps of size from the middle."""
     from scipy.optimize import linprog
 
-    joined = np.concatenate(planes)
-    box = np.empty((2, 3))
+    joined, owner = np.concatenate(planes), np.repeat(np.arange(len(planes)), [len(each) for each in planes])
+    box, prices = np.empty((2, 3)), np.zeros(len(planes))
     for axis in range(3):
         for end, sign in enumerate((1.0, -1.0)):
             solution = linprog(
@@ -188,7 +194,8 @@ def _solve_extent(planes: list[np.ndarray], middle: np.ndarray, size: float) -> 
             if solution.status != 0:
                 raise UserError("the silhouettes do not bound the object: more views from other sides are needed")
             box[end, axis] = middle[axis] + size * solution.x[axis]
-    return box
+            prices += np.bincount(owner, np.abs(solution.ineqlin.marginals))
+    return box, np.flatnonzero(prices).tolist()
 
 
 def _planes(silhouette: np.ndarray, camera: Camera) -> np.ndarray:

@@ -15,7 +15,7 @@ MOST_MISSES = 4  # views that may wrongly see background
 
 
 @njit(**JIT)
-def _project(pose, lens, x, y, z, out):
+def project_point(pose, lens, x, y, z, out):
     """Compute column, row and depth of a world point into out[:3]; a depth <= 0 leaves column and row alone."""
     depth = pose[8] * x + pose[9] * y + pose[10] * z + pose[11]
     out[2] = depth
@@ -55,18 +55,16 @@ def _distance(buffer, frame, column, row):
 
 
 @njit(**JIT)
-def at_point(field, omitted, place, misses, enough, spot, worst):
+def at_point(field, views, place, misses, enough, spot, worst):
     """Return the (misses + 1)-th smallest signed distance, world units, at a place (3,); it may stop below -enough.
 
-    omitted: the view that takes no part, -1 where all do.
+    views (n,): numbers of the views that take part.
     """
     poses, lenses, frames, buffer = field
     for m in range(misses + 1):
         worst[m] = FAR
-    for view in range(poses.shape[0]):
-        if view == omitted:
-            continue
-        _project(poses[view], lenses[view], place[0], place[1], place[2], spot)
+    for view in views:
+        project_point(poses[view], lenses[view], place[0], place[1], place[2], spot)
         value = -FAR
         if spot[2] > 0.0:
             value = _distance(buffer, frames[view], spot[0], spot[1]) * spot[2] / lenses[view, 10]
@@ -79,18 +77,20 @@ def at_point(field, omitted, place, misses, enough, spot, worst):
 
 
 @njit(**JIT)
-def _block(field, lowest, side, margin, misses, spot):
+def _block(field, lowest, side, margin, misses, spot, near):
     """Return -1: the cube is outside for more than `misses` views; 1: inside for all; 0: evaluate its points.
+
+    Return also the number of views, listed in near (views,), for which it is not inside: others can be passed over.
 
     A cube before the camera lies within the convex hull of its projected corners, so within the circle around its
     projected centre that holds them; a distance map changes by no more than the way gone (a tenth and a pixel are
     allowed for lens distortion and for the smoothing of the map). Points nearer to the surface than margin (world's
     unit) are always asked: the surface is found between their values.
     """
-    (poses, lenses, frames, buffer), outside, inside = field, 0, True
+    (poses, lenses, frames, buffer), outside, count = field, 0, 0
     half = 0.5 * side
     for view in range(poses.shape[0]):
-        _project(poses[view], lenses[view], lowest[0] + half, lowest[1] + half, lowest[2] + half, spot)
+        project_point(poses[view], lenses[view], lowest[0] + half, lowest[1] + half, lowest[2] + half, spot)
         before = spot[2] > 0.0
         column, row = spot[0], spot[1]
         extra = margin * lenses[view, 10] / spot[2] if before else 0.0
@@ -98,7 +98,7 @@ def _block(field, lowest, side, margin, misses, spot):
         leaves = False
         frame = frames[view]
         for corner in range(8):
-            _project(
+            project_point(
                 poses[view],
                 lenses[view],
                 lowest[0] + side * (corner & 1),
@@ -113,18 +113,17 @@ def _block(field, lowest, side, margin, misses, spot):
             if frame[6]:
                 r, c = spot[1] - frame[1], spot[0] - frame[2]
                 leaves |= r < 0 or c < 0 or r > (frame[3] - 1) * frame[5] or c > (frame[4] - 1) * frame[5]
+        near[count] = view
         if not before or leaves:
-            inside = False
+            count += 1
             continue
         value = _distance(buffer, frame, column, row)
         reach = 1.1 * (reach + extra) + 1.0 + frame[5]
-        if value < reach:
-            inside = False
-        if value < -reach:
-            outside += 1
-            if outside > misses:
-                return -1
-    return 1 if inside else 0
+        count += value < reach
+        outside += value < -reach
+        if outside > misses:
+            return -1, count
+    return 0 if count else 1, count
 
 
 @njit(**JIT)
@@ -136,14 +135,14 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
     """
     origin, cell = grid
     spot, worst, lowest, place = np.empty(3), np.empty(MOST_MISSES + 1), np.empty(3), np.empty(3)
-    _, ny, nz = volume.shape
+    (_, ny, nz), near = volume.shape, np.empty(len(field[0]), np.int64)
     for i0 in range(first, last, block):
         for j0 in range(0, ny, block):
             for k0 in range(0, nz, block):
                 lowest[0] = origin[0] + cell * i0
                 lowest[1] = origin[1] + cell * j0
                 lowest[2] = origin[2] + cell * k0
-                kind = _block(field, lowest, cell * (block - 1), 2.0 * cell, misses, spot)
+                kind, count = _block(field, lowest, cell * (block - 1), 2.0 * cell, misses, spot, near)
                 for i in range(i0, min(i0 + block, last)):
                     for j in range(j0, min(j0 + block, ny)):
                         for k in range(k0, min(k0 + block, nz)):
@@ -152,7 +151,7 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
                                 continue
                             place[0], place[1] = origin[0] + cell * i, origin[1] + cell * j
                             place[2] = origin[2] + cell * k
-                            value = at_point(field, -1, place, misses, band, spot, worst)
+                            value = at_point(field, near[:count], place, misses, band, spot, worst)
                             volume[i, j, k] = min(max(value, -band), band)
 
 
@@ -168,12 +167,14 @@ def trace_rays(field, views, origins, directions, spans, misses, reach, out):
     distances are measured across the line of sight.
     """
     spot, worst, place = np.empty(3), np.empty(MOST_MISSES + 1), np.empty(3)
+    every = np.arange(len(field[0]))
     for n in range(out.shape[0]):
+        others = every[every != views[n]]
         t, best = spans[n, 0], -FAR
         while t <= spans[n, 1] and best < -reach:
             for axis in range(3):
                 place[axis] = origins[n, axis] + t * directions[n, axis]
-            least = at_point(field, views[n], place, misses, 8.0 * reach, spot, worst)
+            least = at_point(field, others, place, misses, 8.0 * reach, spot, worst)
             best = max(best, least)
             t += max(0.8 * abs(least), reach) if least > -FAR else reach
         out[n] = best
