@@ -6,6 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from nishiki.geometry import hollows
 from nishiki.geometry.camera import NO_DISTORTION, look_at
 from nishiki.geometry.hollows import ShadingPhotographs, contradicted_regions, sink_hollows
 from nishiki.geometry.mesh import Mesh
@@ -84,6 +85,53 @@ def test_a_hollow_sinks_and_the_rest_stays():
     top = middle & ~outside
     assert sunk.vertices[top, 2].mean() == pytest.approx(RIM - 0.9 * depth, abs=0.15)
     assert (sunk.triangles == hull.triangles).all()
+
+
+def residual_of_one_point(scene, depths, point, normal, middle):
+    """The robust residual of I = b . l by its definition, view by view."""
+    centres = np.array([camera.centre for camera in scene.cameras])
+    distance = np.linalg.norm(centres - middle, axis=1).mean()
+    shown, towards = [], []
+    for camera, picture, depth, centre in zip(scene.cameras, scene.pictures, depths, centres, strict=True):
+        light = centre - point
+        ((column, row),), (away,) = camera.project(point[None])
+        i, j = int(row), int(column)
+        around = depth[round(row) - 1 : round(row) + 2, round(column) - 1 : round(column) + 2]
+        farthest = around[np.isfinite(around)].max(initial=0)
+        hidden = away > farthest + 2.5 * distance / np.sqrt(np.linalg.det(camera.intrinsics))
+        if light @ normal < hollows.LEAST_COSINE * np.linalg.norm(light) or hidden:
+            continue
+        corners = picture[i : i + 2, j : j + 2].astype(float)
+        across = (1 - (column - j)) * corners[:, 0] + (column - j) * corners[:, 1]
+        shown.append((1 - (row - i)) * across[0] + (row - i) * across[1])
+        towards.append(light / np.linalg.norm(light) * (distance / np.linalg.norm(light)) ** 2)
+    if len(shown) < hollows.FEWEST_VIEWS:
+        return -1
+    shown, towards = np.array(shown), np.array(towards)
+    variance = (hollows.RELATIVE_ERROR * shown.mean(axis=1)) ** 2 + hollows.ERROR**2
+    weight = 1 / variance
+    for _ in range(3):
+        matrix = towards.T @ np.diag(weight) @ towards
+        matrix += 1e-3 * np.trace(matrix) * np.eye(3)
+        b = np.linalg.solve(matrix, towards.T @ np.diag(weight) @ shown)
+        error = ((shown - np.maximum(towards @ b, 0)) ** 2).mean(axis=1) / variance
+        weight = 1 / (variance * (1 + error / 4))
+    mean = np.minimum(error, hollows.LARGEST).sum() / max(len(shown) - 3, 1)
+    return min(mean, hollows.LARGEST)
+
+
+def test_residuals_against_their_definition():
+    hull, scene = filled(), photographed(turned([*OUTSIDE, (0.62, RIM), (0.0, RIM - 0.5)]))
+    depths = depths_of(hull, scene)
+    values = scene.residuals(depths, hull.vertices, hull.normals)
+    middle = hull.vertices.mean(axis=0)
+    places = np.arange(0, len(hull.vertices), 37)
+    expected = [
+        residual_of_one_point(scene, depths, hull.vertices[k], hull.normals[k].astype(float), middle) for k in places
+    ]
+    assert -1 in expected
+    assert len({round(value, 3) for value in expected}) > 20
+    np.testing.assert_allclose(values[places], expected, rtol=1e-4, atol=1e-6)
 
 
 def test_a_mouth_of_more_than_half_of_the_surface_is_contradicted():

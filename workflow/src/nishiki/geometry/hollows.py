@@ -9,49 +9,119 @@ from multiple images, Optical Engineering 19, 1980)
 with one b for each channel, whatever its paint. A point of a hull in front of a hollow shows other points of the object
 in every view, and no b fits: there the robust residual of the fit is many times that of the rest.
 
-A hollow is described by two numbers: a contradicted region sinks by depth * profile^steepness along the mean of its
-inward normals, profile being 0 at the region's border. The depth and steepness with the smallest residual over the
-pixels of the region are kept. Topology and outlines stay as they are.
+A contradicted region sinks by depth * profile along the mean of its inward normals, the profile being 0 at the region's
+border. The depth with the smallest residual over the pixels of the region is kept. Topology and outlines stay.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 
 from nishiki.geometry.camera import Camera
+from nishiki.geometry.hull import SilhouetteField
+from nishiki.geometry.hull_kernels import project_point
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.surface import vertex_adjacency
 from nishiki.geometry.turn import scale_camera
 from nishiki.geometry.visibility import interpolate, rasterise
+from nishiki.small_matrices import solve_by_cofactors
+from nishiki.threads import over_rows
 
 RELATIVE_ERROR, ERROR = 0.02, 0.005
 """Deviation of a matt point from the model: part of its value, and of the object's bright values."""
 LARGEST = 16.0
 """Cap of a view's squared residual, in squared deviations; also used for points seen in too few views."""
-CONTRADICTED, OF_LOWER_QUARTILE = 7.0, 4.0
-"""Residual above which a place is contradicted, also in lower quartiles of the whole surface: the mouth of a bowl is
-half of all that is seen, and raises the median."""
-PATCH_ROUNDS = 20
-"""Averages of the residual over neighbouring vertices before it is judged."""
+CONTRADICTED, OF_LOWER_TENTH = 7.0, 4.0
+"""Residual above which a place is contradicted, also in tenth percentiles of the whole surface: the mouth of a
+dish is three quarters of all that is seen, and raises the median."""
+ROUNDS = 12
+"""Averages over neighbouring vertices: of the residual before it is judged, and of a finer mesh's shift, since steps
+between the coarse mesh's vertices would take five times the triangles."""
 SMALLEST_REGION = 0.015
 """Share of all vertices below which a region stays: shadows contradict small places too."""
 IMPROVEMENT = 0.7
 """Ratio of a region's residual to that before, above which the region stays as it was."""
-FEWEST_VIEWS, MOST_VIEWS = 5, 14
+FEWEST_VIEWS = 5
 LEAST_COSINE = 0.25  # of a view with the normal
 FINEST_SIZE_PX = 100
 """Root of the silhouette's area to which photographs are shrunk."""
-WIDTHS = (1.0, 0.75, 0.6)
+WIDTHS = (1.0, 0.7)
 """Parts of the limit above which neighbours of a contradicted place are tried as part of its region: towards its rim a
 hollow is shallow, and there the residual falls."""
-DEPTHS = np.linspace(0.1, 0.94, 6)
-"""Depths as parts of the object's extent along the direction; tried with steepness 1 for each candidate region."""
-STEEPNESSES, NEARBY = (0.5, 0.75, 1.0, 1.5, 2.0, 3.0), (0.75, 1.0, 1.3)
-"""Steepnesses, and depths over the best of DEPTHS; tried together for the best region."""
-SHIFT_ROUNDS = 10
-"""Averages of a finer mesh's shift over neighbouring vertices: steps between the coarse mesh's vertices would take
-five times the triangles."""
+DEPTHS = np.geomspace(0.05, 0.94, 12)
+"""Depths as parts of the object's extent along the direction."""
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fit_matt_points(start, stop, views, limits, points, normals, out):
+    """Average the robust squared residual (n,) of I = b . l over the views that see a point; three rounds of weights.
+
+    views: pictures (v, rows, columns, channels), depth of the farthest surface about each pixel (v, rows, columns),
+    poses, lenses, centres (v, 3); limits: mean distance of the cameras, tolerance of the depth; points and normals
+    (n, 3). -1 where too few views see a point.
+    """
+    (pictures, deepest, poses, lenses, centres), (distance, tolerance) = views, limits
+    count, rows, columns, channels = pictures.shape
+    shown, towards, light, spot = np.empty((count, channels)), np.empty((count, 3)), np.empty(3), np.empty(3)
+    variance, weight, error = np.empty(count), np.empty(count), np.empty(count)
+    sides, b = np.empty((channels, 3)), np.empty((channels, 3))
+    for n in range(start, stop):
+        seen = 0
+        for v in range(count):
+            square, facing = 0.0, 0.0
+            for k in range(3):
+                light[k] = centres[v, k] - points[n, k]
+                square += light[k] ** 2
+                facing += light[k] * normals[n, k]
+            if facing < LEAST_COSINE * np.sqrt(square):
+                continue
+            project_point(poses[v], lenses[v], points[n, 0], points[n, 1], points[n, 2], spot)
+            if not (spot[2] > 0 and 1 <= spot[0] < columns - 2 and 1 <= spot[1] < rows - 2):
+                continue
+            if spot[2] > deepest[v, int(spot[1] + 0.5), int(spot[0] + 0.5)] + tolerance:
+                continue
+            i, j = int(spot[1]), int(spot[0])
+            s, t, mean = spot[1] - i, spot[0] - j, 0.0
+            for k in range(channels):
+                above = (1 - t) * pictures[v, i, j, k] + t * pictures[v, i, j + 1, k]
+                below = (1 - t) * pictures[v, i + 1, j, k] + t * pictures[v, i + 1, j + 1, k]
+                shown[seen, k] = (1 - s) * above + s * below
+                mean += shown[seen, k] / channels
+            for k in range(3):
+                towards[seen, k] = light[k] * distance**2 / square**1.5
+            variance[seen] = (RELATIVE_ERROR * mean) ** 2 + ERROR**2
+            weight[seen] = 1 / variance[seen]
+            seen += 1
+        out[n] = -1.0
+        if seen < FEWEST_VIEWS:
+            continue
+        for _ in range(3):
+            xx = xy = xz = yy = yz = zz = 0.0
+            sides[:] = 0
+            for v in range(seen):
+                x, y, z = towards[v, 0], towards[v, 1], towards[v, 2]
+                wx, wy, wz = weight[v] * x, weight[v] * y, weight[v] * z
+                xx, xy, xz, yy, yz, zz = xx + wx * x, xy + wx * y, xz + wx * z, yy + wy * y, yz + wy * z, zz + wz * z
+                for k in range(channels):
+                    sides[k, 0] += wx * shown[v, k]
+                    sides[k, 1] += wy * shown[v, k]
+                    sides[k, 2] += wz * shown[v, k]
+            ridge = 1e-3 * (xx + yy + zz) + 1e-300
+            matrix = (xx + ridge, xy, xz, yy + ridge, yz, zz + ridge)
+            for k in range(channels):
+                x, y, z, determinant = solve_by_cofactors(matrix, sides[k, 0], sides[k, 1], sides[k, 2])
+                b[k, 0], b[k, 1], b[k, 2] = x / determinant, y / determinant, z / determinant
+            total = 0.0
+            for v in range(seen):
+                error[v] = 0.0
+                for k in range(channels):
+                    model = b[k, 0] * towards[v, 0] + b[k, 1] * towards[v, 1] + b[k, 2] * towards[v, 2]
+                    error[v] += (shown[v, k] - max(model, 0.0)) ** 2 / (channels * variance[v])
+                weight[v] = 1 / (variance[v] * (1 + error[v] / 4))
+                total += min(error[v], LARGEST)
+        out[n] = min(total / max(seen - 3, 1), LARGEST)
 
 
 @dataclass(frozen=True)
@@ -101,38 +171,23 @@ class ShadingPhotographs:
     def residuals(self, depths: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Compute the mean robust squared residual (n,) of points in the views that see them; -1 where too few do."""
         import cv2
-        from scipy.spatial.distance import cdist
 
-        rows, columns = self.pictures.shape[1:3]
         centres = np.array([camera.centre for camera in self.cameras])
         distance = np.linalg.norm(centres - points.mean(axis=0), axis=1).mean()
         tolerance = 2.5 * distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
-        facing = (centres @ normals.T - (points * normals).sum(axis=1)) / cdist(centres, points)
-        values = np.zeros((*facing.shape, self.pictures.shape[3]))
-        for view, camera in enumerate(self.cameras):
-            some = np.flatnonzero(facing[view] >= LEAST_COSINE)
-            pixels, away = camera.project(points[some])
-            inside = (away > 0) & ((pixels >= 1) & (pixels < (columns - 2, rows - 2))).all(axis=1)
-            pixels = np.where(inside[:, None], pixels, 1.0)
-            shown = np.where(np.isfinite(depths[view]), depths[view], 0).astype(np.float32)
-            deepest = cv2.dilate(shown, np.ones((3, 3), np.uint8))
-            column, row = (pixels + 0.5).astype(int).T
-            facing[view, some[~inside | (away > deepest[row, column] + tolerance)]] = 0
-            (column, row), (s, t) = pixels.astype(int).T, (pixels % 1).T[..., None]
-            picture = self.pictures[view]
-            above, below = ((1 - s) * picture[k, column] + s * picture[k, column + 1] for k in (row, row + 1))
-            values[view, some] = (1 - t) * above + t * below
-        order = np.argsort(-facing, axis=0, kind="stable")[:MOST_VIEWS].T
-        place, towards = (order, np.arange(len(points))[:, None]), centres[order] - points[:, None]
-        towards *= distance**2 / np.linalg.norm(towards, axis=2, keepdims=True) ** 3
-        seen = facing[place] >= LEAST_COSINE
-        return np.where(seen.sum(axis=1) >= FEWEST_VIEWS, matt_residuals(values[place], towards, seen), -1.0)
+        shown = np.where(np.isfinite(depths), depths, 0).astype(np.float32)
+        deepest = np.stack([cv2.dilate(depth, np.ones((3, 3), np.uint8)) for depth in shown])
+        views = self.pictures, deepest, *SilhouetteField.geometry_of(self.cameras), centres
+        points, normals = (np.ascontiguousarray(values, np.float64) for values in (points, normals))
+        out = np.empty(len(points))
+        over_rows(fit_matt_points, len(points), views, (distance, tolerance), points, normals, out)
+        return out
 
 
 def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: ShadingPhotographs) -> tuple[Mesh, list[dict]]:
     """Sink the hollows of a mesh; return it and the figures of each hollow.
 
-    The figures are depth and steepness, direction, residual before and after.
+    The figures are vertices, depth, direction, residual before and after.
 
     coarse: the same surface with vertices in even distances, some ten thousand; regions and depths are sought on it.
     """
@@ -148,7 +203,7 @@ def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: ShadingPhotographs) -> 
     weights = 1 / np.maximum(distance, 1e-9 * np.ptp(start))
     shift = np.einsum("nk,nkc->nc", weights / weights.sum(1, keepdims=True), (coarse.vertices - start)[nearest])
     near, moved = neighbourhoods(mesh), shift.any(axis=1, keepdims=True)
-    for _ in range(SHIFT_ROUNDS):
+    for _ in range(ROUNDS):
         shift = np.where(moved, near @ shift, 0)
     return Mesh.of(mesh.vertices + shift, mesh.triangles), figures
 
@@ -165,10 +220,10 @@ def contradicted_regions(mesh: Mesh, photographed: ShadingPhotographs) -> list[l
         return []
     near = neighbourhoods(mesh)
     total, count = np.where(seen, values, 0.0), seen.astype(np.float64)
-    for _ in range(PATCH_ROUNDS):
+    for _ in range(ROUNDS):
         total, count = near @ total, near @ count
     mean = np.where(count > 0.3, total / np.maximum(count, 1e-12), 0.0)
-    limit = max(CONTRADICTED, OF_LOWER_QUARTILE * float(np.percentile(values[seen], 25)))
+    limit = max(CONTRADICTED, OF_LOWER_TENTH * float(np.percentile(values[seen], 10)))
     parts = list_parts(mean > limit, near)
     large = [part for part in parts if part.sum() >= SMALLEST_REGION * len(mesh.vertices)]
     wider = [list_parts(mean > width * limit, near) for width in WIDTHS]
@@ -222,16 +277,16 @@ class Hollow:
         from scipy.sparse.linalg import spsolve
 
         direction = -mesh.normals[region].sum(axis=0).astype(np.float64)
-        # the root of the solution of Poisson's equation, which grows with the distance to the border
+        # Poisson's equation: its root grows with the distance to the border; a bowl is flatter there, and in its middle
         profile = np.zeros(len(region))
         inner = (eye(len(region)) - neighbourhoods(mesh)).tocsr()[region][:, region]
         profile[region] = np.maximum(spsolve(inner.tocsc(), np.ones(int(region.sum()))), 0)
-        profile = np.sqrt(profile / max(profile.max(), 1e-12))
+        profile = (profile / max(profile.max(), 1e-12)) ** 0.75
         return cls(region, profile, direction / max(np.linalg.norm(direction), 1e-12))
 
-    def sunk(self, mesh: Mesh, part: float, steepness: float) -> Mesh:
-        """Sink a mesh by a part of its extent, times profile^steepness."""
-        shift = (part * np.ptp(mesh.vertices @ self.direction) * self.profile**steepness)[:, None] * self.direction
+    def sunk(self, mesh: Mesh, part: float) -> Mesh:
+        """Sink a mesh by a part of its extent, times the profile."""
+        shift = (part * np.ptp(mesh.vertices @ self.direction) * self.profile)[:, None] * self.direction
         return Mesh.of(mesh.vertices + shift, mesh.triangles)
 
 
@@ -243,23 +298,20 @@ def sink(mesh: Mesh, regions: list[np.ndarray], photographed: ShadingPhotographs
     seen = Shown(mesh, np.any(regions, axis=0), photographed)
     core, widest = (seen.pixels_of(regions[k]) for k in (0, -1))
 
-    def judge(hollow: Hollow, part: float, steepness: float) -> tuple[float, float, float]:
-        sunk = hollow.sunk(mesh, part, steepness)
-        fits = photographed.inside(sunk.vertices[hollow.region & (hollow.profile > 0.2)])
-        return seen.residual(sunk, widest) if fits else np.inf, part, steepness
+    def judge(hollow: Hollow, part: float) -> float:
+        sunk = hollow.sunk(mesh, part)
+        fits = photographed.inside(sunk.vertices[hollow.region & (hollow.profile > 0.1)])
+        return seen.residual(sunk, widest) if fits else np.inf
 
-    hollows = [Hollow.of(mesh, region) for region in regions]
-    first = [min(judge(hollow, part, 1.0) for part in DEPTHS) for hollow in hollows]
-    best = min(range(len(first)), key=lambda k: first[k][0])
-    hollow, part = hollows[best], first[best][1]
-    _, part, steepness = min(judge(hollow, part * nearby, each) for each in STEEPNESSES for nearby in NEARBY)
-    result = hollow.sunk(mesh, part, steepness)
+    trials = [(hollow, part) for region in regions for hollow in (Hollow.of(mesh, region),) for part in DEPTHS]
+    hollow, part = min(trials, key=lambda trial: judge(*trial))
+    result = hollow.sunk(mesh, part)
     before, after = (seen.residual(each, core) for each in (mesh, result))
     if not after < IMPROVEMENT * before:
         return mesh, []
     depth = float(part * np.ptp(mesh.vertices @ hollow.direction))
     figure = {"vertices": int(hollow.region.sum()), "direction": hollow.direction.tolist(), "depth": depth}
-    return result, [{**figure, "steepness": steepness, "residual": [before, after]}]
+    return result, [{**figure, "residual": [before, after]}]
 
 
 class Shown:
@@ -304,21 +356,3 @@ class Shown:
         depths = np.stack([depth for _, _, depth in views])
         values = self.photographed.residuals(depths, np.concatenate(points), normal)
         return float(np.where(values < 0, LARGEST, values).sum() / len(values))
-
-
-def matt_residuals(values: np.ndarray, towards: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """Average the robust squared residual (n,) of I = b . l over the views that see a point; three rounds of weights.
-
-    values (n, views, channels), towards (n, views, 3), seen (n, views) bool.
-    """
-    variance = (RELATIVE_ERROR * values.mean(axis=2)) ** 2 + ERROR**2
-    weights, known = seen / variance, np.where(seen[..., None], values, 0)
-    for _ in range(3):
-        weighted = np.swapaxes(weights[..., None] * towards, 1, 2)
-        matrix = weighted @ towards
-        matrix += (1e-3 * np.trace(matrix, axis1=1, axis2=2) + 1e-300)[:, None, None] * np.eye(3)
-        b = np.linalg.solve(matrix, weighted @ known)
-        error = np.square(known - np.maximum(towards @ b, 0)).mean(axis=2) / variance
-        weights = seen / (variance * (1 + error / 4))
-    total = (np.minimum(error, LARGEST) * seen).sum(axis=1)
-    return np.minimum(total / np.maximum(seen.sum(axis=1) - 3, 1), LARGEST)
