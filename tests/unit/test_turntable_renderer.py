@@ -15,7 +15,7 @@ from nishiki.colour.colour import decode, encode
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import rotation_matrix
-from nishiki.geometry.visibility import rasterise
+from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.render.object import renderer as module
 from nishiki.render.object.renderer import ObjectRenderer
 from nishiki.render.object.shots import lit_by
@@ -279,6 +279,33 @@ def test_the_surface_throws_shadows_between_views():
     sure = np.abs(clear) > 0.03
     np.testing.assert_array_equal(lit[sure] > 0, clear[sure] > 0)
     assert (lit == 0).sum() > 30
+
+
+def test_texels_lend_apart_from_the_shadows_of_their_views():
+    """Views show the model where the lamp sees the dome, and light of 0.05 everywhere; so does the view between."""
+    residual = DomeResidual(2 * len(ANGLES))
+    residual.empty = lambda tile: False
+    made = make(encoding="linear", residual=residual)
+    made.lighting = CaptureLamps("direction", ((0.95, 0.0, 0.312),) * 2)
+    for index, camera in enumerate(made.cameras):
+        lamp = made.lighting.lamp(camera)
+        for tile in range(made.atlas.tiles):
+            positions, normals, _ = made.geometry(tile)
+            model = sum(predict(*residual.parameters(tile), positions, normals, camera.centre, lamp))
+            lit = made._find_lit(lamp, positions.reshape(-1, 3), normals.reshape(-1, 3)).reshape(SIZE, SIZE, 1)
+            residual.whole[(index, *residual.cut(tile))] = model * (lit - 1) + 0.05
+    shot = made.between(1, 0.5)
+    picture = next(made.render([shot]))
+    model, covered = slow(made, shot.camera, 0, {})
+    shown = picture.triangle[covered], picture.barycentric[covered]
+    points, normals = (interpolate(v, made.mesh.triangles, *shown) for v in (made.mesh.vertices, made.mesh.normals))
+    lit = np.zeros(covered.shape)
+    lit[covered] = made._find_lit(made.lighting.lamp(shot.camera), points, normals)
+    for part, least in ((covered & (lit > 0), 1000), (covered & (lit == 0), 100)):
+        inner = cv2.erode(part.astype(np.uint8), np.ones((9, 9))) > 0
+        assert inner.sum() > least
+        want = model * lit[..., None] + 0.05
+        np.testing.assert_allclose(picture.linear[inner], want[inner], atol=0.01)
 
 
 @pytest.mark.parametrize("encoding", ["srgb", "linear"])

@@ -196,6 +196,10 @@ class CodedTexels:
         """Size of the arrays."""
         return self.values.nbytes + self.observation.nbytes + self.texel.nbytes
 
+    def look_up(self, observation: int, texels: np.ndarray) -> np.ndarray:
+        """Return the values (m, C) of an observation at flat numbers of texels (m,)."""
+        return self.values[self.observation[observation], self.texel[texels]]
+
 
 class CodedReader:
     """A coded object in an array, for reading; safe from several threads.

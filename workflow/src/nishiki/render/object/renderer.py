@@ -265,20 +265,12 @@ class ObjectRenderer:
             kd, ks, sigma = (values[chosen] for values in flat.parameters)
             diffuse, gloss = lamp.predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen])
             return encode(diffuse + gloss, self.encoding)
-        coded, views = self._evaluate_model(flat, chosen, shot.camera, lamp), shot.views.views
-        seen = np.zeros(0)
+        coded, views = self._evaluate_model(flat, chosen, shot.camera, lamp), shot.views
         if not self.model_only and self._blends(shot):
-            if self.pictures is not None:
-                return self._add_pictures(coded, (lamp, light), flat, texels, shot.views)
-            seen = np.stack(
-                [self.depths.visible(flat.positions[chosen], flat.normals[chosen], self.cameras[v]) for v in views]
-            )
-        residual = flat.residual
-        if residual is None:
+            return self._add_lent(coded, (lamp, light), flat, texels, views)
+        if self.model_only or flat.residual is None:
             return coded
-        places = residual.observation[light * len(self.cameras) + views]
-        lent = residual.values[places[:, None], residual.texel[chosen]]
-        return coded + (lent[0] if len(views) == 1 else mix(lent, seen, shot.views.weights.astype(np.float32)))
+        return coded + flat.residual.look_up(light * len(self.cameras) + int(views.views[0]), chosen)
 
     def _evaluate_model(self, flat: DecodedTile, chosen: np.ndarray, camera: Camera, lamp) -> np.ndarray:
         """Evaluate the model (m, channels) float32 at chosen texels of a tile, encoded."""
@@ -286,8 +278,8 @@ class ObjectRenderer:
         diffuse, gloss = predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen], camera.centre, lamp)
         return encode(diffuse + gloss, self.encoding)
 
-    def _add_pictures(self, coded: np.ndarray, of: tuple, flat: DecodedTile, texels: tuple, shown: Neighbours):
-        """Add to the model of texels (m, channels), in its cast shadows, what the pictures of views differ from it.
+    def _add_lent(self, coded: np.ndarray, of: tuple, flat: DecodedTile, texels: tuple, shown: Neighbours):
+        """Add to the model of texels (m, channels), in its cast shadows, what views differ from it.
 
         of: the lamp and the light's number; texels: as of `_texels`.  A view in which the lamp sees a texel lends
         little to a picture where it does not, and the other way round.
@@ -296,11 +288,14 @@ class ObjectRenderer:
         lit = self._find_lit(lamp, flat.positions[chosen], flat.normals[chosen])
         lent = np.stack([self._lend((int(view), light), flat, wanted)[chosen] for view in shown.views])
         seen = lent[..., 1] * np.where(lent[..., 0] == lit, np.float32(1), OTHER_LIGHT)
+        coded, mixed = coded * lit[:, None], mix(lent[..., 2:], seen, weights)
+        if self.pictures is None:  # texels that no view sees were solved for too
+            return coded + mixed
         total = (weights[:, None] * seen).sum(axis=0)
-        return coded * lit[:, None] + np.where(total > 1e-6, 1, 0)[:, None] * mix(lent[..., 2:], seen, weights)
+        return coded + np.where(total > 1e-6, 1, 0)[:, None] * mixed
 
     def _lend(self, key: tuple[int, int], flat: DecodedTile, wanted: np.ndarray) -> np.ndarray:
-        """Return (T * T, 2 + channels) float32 in a view and light: lit, how well seen, picture minus model.
+        """Return (T * T, 2 + channels) float32 in a view and light: lit, how well seen, view minus shadowed model.
 
         Texels are computed when they are wanted first, once for all pictures that the view lends to; NaN before.
         """
@@ -308,22 +303,28 @@ class ObjectRenderer:
 
         if key not in flat.lent:
             flat.lent[key] = np.full((len(flat.positions), 2 + self.channels), np.nan, np.float32)
-        held = flat.lent[key]
+        held, (view, light) = flat.lent[key], key
         new = wanted[np.isnan(held[wanted, 0])]
-        if len(new):
-            positions, normals = flat.positions[new], flat.normals[new]
-            camera = self.cameras[key[0]]
-            lamp, (picture, bare) = self.lighting.lamp(camera, key[1]), self._lenders[key]
-            places = camera.project(positions)[0].astype(np.float32)[:, None]
-            lit, seen = self._find_lit(lamp, positions, normals), self.depths.visible(positions, normals, camera)
-            lent = -self._evaluate_model(flat, new, camera, lamp) * lit[:, None]
+        if not len(new):
+            return held
+        positions, normals, camera = flat.positions[new], flat.normals[new], self.cameras[view]
+        lamp = self.lighting.lamp(camera, light)
+        lit, seen = self._find_lit(lamp, positions, normals), self.depths.visible(positions, normals, camera)
+        model = self._evaluate_model(flat, new, camera, lamp)
+        lent = -model * lit[:, None]
+        if self.pictures is None:
+            lent += model
+            if flat.residual is not None:
+                lent += flat.residual.look_up(light * len(self.cameras) + view, new)
+        else:
+            (picture, bare), places = self._lenders[key], camera.project(positions)[0].astype(np.float32)[:, None]
             for first in range(0, len(places), MOST_PLACES):
                 some = slice(first, first + MOST_PLACES)
                 for band, values in enumerate(picture):
                     shown = cv2.remap(values, places[some], None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
                     lent[some, band] += shown[:, 0]
                 seen[some][cv2.remap(bare, places[some], None, cv2.INTER_NEAREST)[:, 0] > 0] = 0
-            held[new] = np.column_stack([lit, seen, lent])
+        held[new] = np.column_stack([lit, seen, lent])
         return held
 
     def _find_lit(self, lamp: ViewLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
