@@ -23,7 +23,7 @@ from published_fits import fit_points, point_problem  # noqa: E402
 
 import _project  # noqa: E402, F401
 from nishiki.brdf.texels.model import CaptureLamps  # noqa: E402
-from nishiki.brdf.texels.texel_fit import TileSamples, first_fit, gather, strengths  # noqa: E402
+from nishiki.brdf.texels.texel_fit import WIDTHS, LobeProfile, TileSamples, gather, lambert, lobes_of  # noqa: E402
 
 VIEWS, CHANNELS = 36, 3
 
@@ -104,34 +104,35 @@ def explained(data: TileSamples, kd, ks, sigma) -> float:
 
 def timed(name: str, data: TileSamples, scipy_count: int) -> None:
     """Lines on one set of texels."""
-    texels = len(data.texel)
-    fit = first_fit(data)
-    few = slice(0, min(scipy_count, texels))
-    part = TileSamples(*(getattr(data, field)[few] for field in data.__dataclass_fields__))
-    seconds = fastest(lambda: first_fit(data), 5)
-    sigma = np.where(fit.information > 0, np.exp(fit.log_sigma), 0.2).astype(np.float32)
-    again = fastest(lambda: strengths(data, sigma, fit.ks, 1.0), 5)
-    slow, found, reports = scipy_seconds(data, min(scipy_count, texels), True)
-    differences, *_ = scipy_seconds(data, min(scipy_count, texels), False)
+    texels, count = len(data.texel), min(scipy_count, len(data.texel))
     shared = {"object": name, "views": int(data.view.max()) + 1, "channels": data.values.shape[2], "texels": texels}
     shared["observations_a_texel"] = round(float(data.seen.mean()), 2)
-    reference = slow / min(scipy_count, texels) * 1e6
-    mine = seconds / texels * 1e6
+    part = TileSamples(*(getattr(data, field)[:count] for field in data.__dataclass_fields__))
+    kd, ks, sigma = fit_alone(part)
+    mine = fastest(lambda: fit_alone(data), 5) / texels * 1e6
+    slow, found, reports = scipy_seconds(data, count, True)
+    differences, *_ = scipy_seconds(data, count, False)
     width = reports[:, 0] / np.sqrt(2 * np.log(2))
-    both = np.isfinite(width) & (width > 0) & (fit.information[few] > 0)  # a width was determined
+    both = np.isfinite(width) & (width > WIDTHS[0]) & (width < WIDTHS[-1])  # a width was determined
     compared = TileSamples(*(getattr(part, field)[both] for field in part.__dataclass_fields__))
+    reference, differences = slow / count * 1e6, differences / count * 1e6
     report(
-        **shared, method="variable_projection", us_per_texel=round(mine, 3), default=True,
-        us_per_texel_strengths=round(again / texels * 1e6, 3), ratio_to_scipy=round(reference / mine, 1),
-        ratio_to_scipy_differences=round(differences / min(scipy_count, texels) * 1e6 / mine, 1),
-        highlight_share=round(float(np.mean(fit.information > 0)), 4),
-        rms=explained(compared, fit.kd[few][both], fit.ks[few][both], sigma[few][both]), compared=int(both.sum()),
+        **shared, method="profile_of_widths", us_per_texel=round(mine, 3), default=True,
+        ratio_to_scipy=round(reference / mine, 1), ratio_to_scipy_differences=round(differences / mine, 1),
+        rms=explained(compared, kd[both], ks[both], sigma[both]), compared=int(both.sum()),
     )  # fmt: skip
     report(
         **shared, method="scipy_least_squares", us_per_texel=round(reference, 1), default=False,
-        us_per_texel_differences=round(differences / min(scipy_count, texels) * 1e6, 1), ratio_to_scipy=1.0,
+        us_per_texel_differences=round(differences, 1), ratio_to_scipy=1.0,
         rms=explained(compared, found[both, :, 1], found[both, :, 0], width[both]), compared=int(both.sum()),
     )  # fmt: skip
+
+
+def fit_alone(data: TileSamples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Fit K_d, K_s and sigma of each texel by itself, as the stage fits those of neighbours together."""
+    sigma, ks = LobeProfile.of(data).solve()
+    sigma = np.where(sigma > 0, sigma, WIDTHS[0])
+    return lambert(data, lobes_of(data, sigma)[..., None] * ks[:, None]), ks, sigma
 
 
 def report(**values) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from nishiki.brdf.texels.environment import settle
 from nishiki.brdf.texels.model import CaptureLamps, predict
-from nishiki.brdf.texels.object_fit import fit_object
+from nishiki.brdf.texels.object_fit import PULLS, fit_object
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
 from nishiki.brdf.texels.shading import find_lamp
 from nishiki.brdf.texels.texel_fit import CaptureViews, Sample, Tile, lambert
@@ -136,9 +136,9 @@ def test_the_model_itself_is_recovered():
 
 
 def test_texels_whose_width_ends_at_its_bound_are_counted():
-    """Facets that scatter beyond 1.2 radians: the lobe is seen everywhere, and its width is not in the range."""
+    """Facets that scatter by 0.5 radians, beyond the widths that are tried."""
     inside = fitted(*scene(simplified()))[1]
-    wide = fitted(*scene(simplified(sigma=2.5, ks=(2.0, 2.0, 2.0))))[1]
+    wide = fitted(*scene(simplified(sigma=0.5, ks=(0.3, 0.3, 0.3))))[1]
     assert inside.at_bound_share < 0.01
     assert wide.at_bound_share > 0.2
 
@@ -158,13 +158,13 @@ def test_views_left_out_choose_how_freely_gloss_varies():
         normals = tile.normals + bumps.astype(np.float32)
         normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
         tiles[number] = replace(tile, normals=normals)
-    assert fitted(tiles, lighting)[1].freedom == 0
-    assert fitted(*scene(squares, noise=0.002))[1].freedom == 1
+    assert fitted(tiles, lighting)[1].pull >= 8
+    assert fitted(*scene(squares, noise=0.002))[1].pull <= 1
     # among views left out of the whole fit, whichever they are, others are hidden
     for first in range(3):
         kept = np.arange(VIEWS)[:, None, None] % 3 != first
         fewer = {number: replace(tile, visible=tile.visible & kept) for number, tile in tiles.items()}
-        assert fitted(fewer, lighting)[1].freedom == 0
+        assert fitted(fewer, lighting)[1].pull >= 8
 
 
 @pytest.mark.parametrize("views", range(7))
@@ -174,13 +174,20 @@ def test_few_views_of_one_tile_are_fitted(views):
     found, report = fitted({0: few}, lighting)
     assert all(np.isfinite(getattr(found[0], name)).all() for name in ("kd", "ks", "sigma"))
     if views < 3:  # no view lies between two others
-        assert report.freedom == 1
+        assert report.pull == PULLS[0]
 
 
-@pytest.mark.parametrize(("noise", "least_db"), [(0.0, 45), (0.003, 43)])
-def test_another_material_is_fitted_with_the_neighbours(noise, least_db):
+@pytest.mark.parametrize(("noise", "least_db"), [(0.0, 43), (0.003, 42)])
+def test_another_material_is_predicted_in_views_that_no_fit_saw(noise, least_db):
+    """Lobes of each texel by itself explain their own views better, 47 and 45 dB, and these worse, 38.6 and 38.3."""
     tiles, lighting = scene(ggx(), noise=noise)
-    assert fitted(tiles, lighting)[1].psnr_db > least_db
+    hidden = (np.arange(VIEWS) % 3 == 1)[:, None, None]
+    found, _ = fitted({n: replace(tile, visible=tile.visible & ~hidden) for n, tile in tiles.items()}, lighting)
+    parts = [
+        capture(lighting).squares(found[n], replace(tile, visible=tile.visible & hidden)) for n, tile in tiles.items()
+    ]
+    squares, count = np.sum(parts, axis=0)
+    assert -10 * np.log10(squares / count) > least_db
 
 
 def test_the_lobe_is_worth_decibels():

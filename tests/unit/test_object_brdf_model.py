@@ -1,6 +1,7 @@
 """The model at points: against the equations in float64, at its limits; lamps; what stands for unknown lighting."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.environment import fit_environment, fit_highlight, harmonics, hemisphere
 from nishiki.brdf.texels.model import DISTANT, ENVIRONMENT, POINT, CaptureLamps, ViewLamp, factors, predict
 from nishiki.brdf.texels.neighbours import Lattice, Neighbourhood, fill, spread
-from nishiki.brdf.texels.texel_fit import TileSamples, gather, strengths
+from nishiki.brdf.texels.texel_fit import WIDTHS, LobeProfile, TileSamples, gather, lambert, lobes_of
 from nishiki.colour.colour import encoding_slope
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
@@ -313,48 +314,49 @@ def test_slope_of_the_srgb_curve():
     np.testing.assert_allclose(encoding_slope(x.astype(np.float32), "srgb"), differences, rtol=1e-3)
 
 
-def test_strengths_of_nearly_dependent_terms_are_those_of_exact_sums():
-    """Texels seen near the mirror direction only: the condition of their 2 x 2 equations is the square of that of the
-    terms, beyond the seven digits of float32. The reference solves the same observations by QR in float64."""
-    rng = np.random.default_rng(3)
-    points, slots = 200, 16
-    alpha = rng.uniform(0, 0.02, (points, slots)).astype(np.float32)
-    diffuse = (1 - alpha * rng.uniform(0.2, 1, (points, 1))).astype(np.float32)
-    attenuation, weights = np.ones_like(alpha), rng.uniform(0.5, 1, (points, slots)).astype(np.float32)
-    sigma = np.full(points, 0.5, np.float32)
-    lobe = np.exp(-(alpha.astype(float) ** 2) / (2 * 0.5**2))
-    values = (0.4 * diffuse + 0.3 * lobe)[..., None].astype(np.float32)
-    data = TileSamples(np.arange(points), values, diffuse, attenuation, alpha, weights, np.zeros((points, slots), int))
-    found = strengths(data, sigma, np.zeros((points, 1), np.float32), 0.0)
-    for p in range(points):
-        root = np.sqrt(weights[p].astype(float))
-        columns = np.stack([lobe[p], diffuse[p].astype(float)], axis=1) * root[:, None]
-        assert 50 < np.linalg.cond(columns) < 5000
-        wanted = np.linalg.lstsq(columns, values[p, :, 0].astype(float) * root)[0]
-        np.testing.assert_allclose([found.ks[p, 0], found.kd[p, 0]], wanted, rtol=1e-5)
-
-
-def test_strengths_state_what_the_observations_differ_from_them():
-    """The noise of K_s is that of the observations that it is solved from."""
-    rng = np.random.default_rng(4)
-    points, slots = 50, 16
+def texels(rng, points=40, slots=16, sigma=0.3, noise=0.02):
+    """Texels under one lobe, with K_d and noise of their own and three unused slots."""
     alpha = rng.uniform(0, 1, (points, slots)).astype(np.float32)
     diffuse, weights = (rng.uniform(0.3, 1, (points, slots)).astype(np.float32) for _ in range(2))
     weights[:, -3:] = 0
-    sigma = np.full(points, 0.3, np.float32)
-    lobe = np.exp(-(alpha.astype(float) ** 2) / (2 * 0.3**2))
-    clean = 0.4 * diffuse + 0.3 * lobe
+    lobe = np.exp(-(alpha.astype(float) ** 2) / (2 * sigma**2))
+    kd, ks = rng.uniform(0.1, 0.8, (points, 1, 2)), np.array([0.3, 0.2])
+    values = kd * diffuse[..., None] + ks * lobe[..., None] + rng.normal(0, noise, (points, slots, 2))
     rest = (diffuse, np.ones_like(alpha), alpha, weights, np.zeros((points, slots), int))
+    return TileSamples(np.arange(points), values.astype(np.float32), *rest), kd[:, 0], ks
 
-    def observations(values, noise):
-        noisy = values[..., None] + rng.normal(0, noise, (points, slots, 2))
-        return TileSamples(np.arange(points), noisy.astype(np.float32), *rest)
 
-    total = observations(clean, 0.05)
-    prior = np.zeros((points, 2), np.float32)
-    joint = strengths(total, sigma, prior, 0.0)
-    left = total.values - joint.kd[:, None] * diffuse[..., None] - joint.ks[:, None] * lobe[..., None]
-    expected = np.sqrt((weights[..., None] * left**2).sum(axis=(1, 2)) / (2 * (weights > 0).sum(axis=1)))
-    np.testing.assert_allclose(joint.residual, expected, rtol=1e-4)
-    precise = strengths(observations(clean, 0.002), sigma, prior, 0.0)
-    assert np.median(precise.residual) < 0.1 * np.median(joint.residual)
+def test_profiles_add_up_to_one_least_squares_problem():
+    """The gain of a shared lobe is what dense least squares in all K_d and one K_s take off the squared error."""
+    data, _, _ = texels(np.random.default_rng(3))
+    profile, (points, slots) = LobeProfile.of(data), data.alpha.shape
+    power, match = profile.power.sum(axis=0), profile.match.sum(axis=0)
+    root = np.sqrt(data.weights.astype(float)).ravel()
+    own = np.zeros((points, slots, points))
+    own[np.arange(points), :, np.arange(points)] = data.diffuse
+    for place in (6, 12, 18):
+        lobe = np.exp(-0.5 * (data.alpha.astype(float) / WIDTHS[place]) ** 2).ravel()
+        columns = np.column_stack([lobe, own.reshape(-1, points)]) * root[:, None]
+        for channel in range(2):
+            values = data.values[..., channel].astype(float).ravel() * root
+            found, left = np.linalg.lstsq(columns, values)[:2]
+            alone = np.linalg.lstsq(columns[:, 1:], values)[1]
+            assert match[place, channel] / power[place] == pytest.approx(found[0], rel=2e-4)
+            assert match[place, channel] ** 2 / power[place] == pytest.approx((alone - left)[0], rel=2e-3)
+
+
+@pytest.mark.parametrize("sigma", [0.05, 0.13, 0.3])
+def test_a_shared_lobe_is_found_whatever_the_texels_colours(sigma):
+    data, kd, ks = texels(np.random.default_rng(4), points=400, sigma=sigma, noise=1e-4)
+    columns = LobeProfile.of(data).columns.sum(axis=0, keepdims=True)
+    width, strength = LobeProfile.from_columns(columns).solve()
+    assert width[0] == pytest.approx(sigma, rel=3e-3)
+    np.testing.assert_allclose(strength[0], ks, rtol=5e-3)
+    gloss = lobes_of(data, np.repeat(width, 400))[..., None] * strength
+    np.testing.assert_allclose(lambert(data, gloss), kd, atol=5e-3)
+
+
+def test_lobes_seen_from_their_tails_alone_are_not_extrapolated():
+    data, _, _ = texels(np.random.default_rng(5))
+    far = replace(data, alpha=data.alpha + 3)
+    assert LobeProfile.of(far).solve()[1].max() < 2

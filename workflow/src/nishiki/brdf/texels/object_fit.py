@@ -1,11 +1,11 @@
 """Fit the reflection parameters of a whole object, tile by tile.
 
-1. Every texel by itself: the width sigma of its lobe, where a highlight was observed, and how well it is determined.
-2. With sigma drawn towards the neighbours': K_s of every texel and how much its observations say of it.
-3. With K_s drawn towards the neighbours' too: K_d and K_s, filled where nothing was observed.
-
-How strongly texels are drawn follows from the data: the scatter of texels about their neighbourhood beyond their own
-uncertainty.  Passes 1 and 2 leave some twenty bytes a texel in memory; texels are read anew in every pass.
+A texel turns by ten degrees from view to view, so that one or two of them show its highlight: width and strength follow
+from many texels together.  Each texel adds what its observations say of lobes of all widths, whatever its K_d
+(`texel_fit.LobeProfile`); these sums are smoothed over the surface, and each texel takes the lobe that explains most of
+the sums of its neighbours and of its own.  K_d is then its own.  The neighbours count as `pull` texels: of PULLS, those
+are taken with which captured views that are hidden from a trial are predicted best.  Profiles stay in memory on the
+nodes of a lattice; texels are read anew in every pass.
 """
 
 from collections.abc import Callable, Iterable
@@ -14,24 +14,18 @@ from functools import partial
 
 import numpy as np
 
-from nishiki.brdf.fit import FitFlag
 from nishiki.brdf.texels import texel_fit
 from nishiki.brdf.texels.neighbours import Lattice, LatticeField, Neighbourhood, fill, spread
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.texel_fit import CaptureViews, Tile
+from nishiki.brdf.texels.texel_fit import WIDTHS, CaptureViews, LobeProfile, Tile
 from nishiki.threads import in_threads
 
 CELL = 8  # edge of the finest lattice's cells, in texels
 FAR = 1 << 16  # cells from the world's origin: half of it is near
-SCATTER_SIGMA = 0.2  # of log sigma between neighbours: first guess
-SCATTER_KS = 0.5  # of K_s, relative to its mean: first guess
-LEAST_SCATTER = 0.02  # of either
-SUBSET = 2000  # texels of a tile, at most, that the scatter is judged by
 DEFAULT_SIGMA = 0.2  # radians, where no highlight was seen on the whole object
-FREEDOMS = (1.0, 0.25, 0.0)  # factors on the scatter that are tried
+PULLS = (512.0, 64.0, 8.0, 1.0, 0.1)  # texels as which the neighbours count that are tried; the first without views
 JUDGED = 8  # tiles, about, on which they are
-MOST_PULL = 1e20  # a precision that no data compare with
-KS_UNCONSTRAINED = 0.1  # standard deviation of a texel's own K_s, relative to the mean K_d, above which it says nothing
+LEAST_POWER = 0.04  # observations at a lobe's peak below which a texel's own K_s is taken to say nothing
 
 
 @dataclass(frozen=True)
@@ -41,16 +35,13 @@ class ObjectFit:
     texels: int
     samples: int  # visible: texels times observations times channels
     psnr_db: float | None  # of the model alone over them, in the capture's encoding, peak 1
-    highlight_share: float  # sigma determined from own observations
+    highlight_share: float  # observed within sigma of the mirror direction
     filled_share: float  # K_s from the neighbours, for want of observations near the mirror direction
     unseen_share: float
     once_share: float
+    at_bound_share: float = 0.0  # sigma at an end of WIDTHS
     median_sigma: float | None = None  # radians, of the texels with a highlight
-    scatter_log_sigma: float = 0.0
-    scatter_ks: float = 0.0
-    freedom: float = 1.0  # factor on both, of FREEDOMS
-    noise: float = 0.0  # root mean square of the weighted residuals of the median texel
-    at_bound_share: float = 0.0  # own sigma at the end of its range (SIGMA_BOUNDS): the neighbours' is taken there
+    pull: float = 0.0  # of PULLS
 
 
 def fit_object(
@@ -63,9 +54,8 @@ def fit_object(
 ) -> ObjectFit:
     """Fit all tiles: read(tile) gives its texels, write(tile, parameters) takes the result; from several threads.
 
-    Sigma and K_s are drawn towards the neighbours' as far as the data allow.  Where tiles have components only sigma
-    comes from the specular one, and K_d and K_s from the total, which is what a picture shows.  The result does not
-    depend on `threads`.
+    Where tiles have components the lobe comes from the specular one, and K_d from what it leaves of the total.  The
+    result does not depend on `threads`.
     """
     tiles = list(tiles)
     some = [read(tile) for tile in tiles[:: max(len(tiles) // 6, 1)]]
@@ -74,28 +64,32 @@ def fit_object(
     # Far from the world's origin cells are counted from a multiple of FAR cells near the first texel.
     origin = FAR * edge * np.rint(first_texel.astype(float).sum(axis=0) / (FAR * edge))
     lattice = Lattice(edge, tuple(origin.tolist()))
-    freedom = _choose_freedom(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
-    first = _first_pass(read, tiles, capture, lattice, threads)
-    passes = _Passes.of(read, tiles, capture, lattice, freedom, first, threads)
+    pull = _choose_pull(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
+    gloss = _Gloss.of(_gather(read, tiles, capture, lattice, threads), pull)
 
-    def finish(k: int) -> tuple[np.ndarray, float, int]:
-        tile = read(tiles[k]).joined
-        parameters = _third(tile, capture, passes.widths, passes.gloss, passes.first[k])
+    def finish(k: int) -> tuple[np.ndarray, float, int, np.ndarray]:
+        tile = read(tiles[k])
+        parameters = _fit_tile(tile, capture, gloss)
         write(tiles[k], parameters)
-        return _counts(parameters.flags), *capture.squares(parameters, tile)
+        shown = (parameters.flags & (TexelFlag.OUTSIDE | TexelFlag.NO_HIGHLIGHT)) == 0
+        return _counts(parameters), *capture.squares(parameters, tile.joined), parameters.sigma[shown]
 
     finished = list(in_threads(finish, range(len(tiles)), threads))
-    return replace(_describe(passes.first, passes.widths, passes.gloss, finished), freedom=freedom)
+    sigmas = np.concatenate([part[3] for part in finished] or [np.empty(0)])
+    return replace(
+        _totals([part[:3] for part in finished]),
+        pull=pull,
+        median_sigma=float(np.median(sigmas)) if sigmas.size else None,
+    )
 
 
-def _choose_freedom(
+def _choose_pull(
     read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, threads: int
 ) -> float:
-    """Choose the factor on the scatter whose fit to two thirds of the views serves the others best, on some tiles.
+    """Choose the pull whose fit to two thirds of the views predicts the others best, on some tiles.
 
-    Wrong normals and shapes of the lobe that the model lacks scatter the texels' estimates, too, far beyond their
-    uncertainty; a texel that follows its own then shows a highlight where the next view has none. Of three captured
-    views in a row the middle one is hidden, and predicted by the model and the mean of its residuals in the two others.
+    Of three captured views in a row the middle one is hidden, and predicted by the model and the mean of its residuals
+    in the two others.
     """
     captured = np.flatnonzero(np.any([read(number).visible.any(axis=(1, 2)) for number in tiles], axis=0))
     rows = list(zip(captured[::3], captured[1::3], captured[2::3], strict=False))
@@ -106,20 +100,20 @@ def _choose_freedom(
         visible[[middle for _, middle, _ in rows]] = False
         return replace(tile, visible=visible)
 
-    def error(k: int, passes: _Passes) -> float:
+    def error(k: int, gloss: "_Gloss") -> float:
         tile, total = read(tiles[k]).joined, 0.0
-        fitted = _third(read_tile(tiles[k]).joined, capture, passes.widths, passes.gloss, passes.first[k])
+        fitted = _fit_tile(read_tile(tiles[k]), capture, gloss)
         for row in rows:
             seen = tile.visible[list(row)].all(axis=0) & tile.inside
             before, here, after = (capture.subtract_prediction(fitted, tile, int(view), seen) for view in row)
             total += float(np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64))
         return total
 
-    errors, first = [], _first_pass(read_tile, tiles, capture, lattice, threads)
-    for freedom in FREEDOMS:
-        passes = _Passes.of(read_tile, tiles, capture, lattice, freedom, first, threads)
-        errors.append(sum(in_threads(partial(error, passes=passes), range(len(tiles)), threads)))
-    return FREEDOMS[int(np.argmin(errors))]
+    errors, parts = [], _gather(read_tile, tiles, capture, lattice, threads)
+    for pull in PULLS:
+        gloss = _Gloss.of(parts, pull)
+        errors.append(sum(in_threads(partial(error, gloss=gloss), range(len(tiles)), threads)))
+    return PULLS[int(np.argmin(errors))]
 
 
 def spacing(tiles: list[Tile]) -> float:
@@ -129,218 +123,95 @@ def spacing(tiles: list[Tile]) -> float:
     return float(np.median(values)) if values else 1.0
 
 
-@dataclass(frozen=True)
-class _First:
-    """Pass 1 of a tile: the observed texels, their estimates of sigma, and a sample to estimate the scatter from."""
+def _gather(
+    read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, threads: int
+) -> Neighbourhood:
+    """Spread the profiles of all texels over a lattice."""
 
-    texel: np.ndarray
-    fit: texel_fit.FirstFit
-    part: tuple
-    sample: np.ndarray  # positions of every `stride`-th texel
-    stride: int
-
-    @classmethod
-    def of(cls, tile: Tile, capture: CaptureViews, lattice: Lattice) -> "_First":
+    def spread_tile(number: int) -> tuple:
+        tile = read(number)
         total, specular = capture.observe(tile)
-        fit = texel_fit.first_fit(total, specular)
-        informed = fit.information > 0
-        precision = np.where(informed, 1 / (1 / np.where(informed, fit.information, 1) + SCATTER_SIGMA**2), 0)
+        profile = LobeProfile.of(total, specular).columns
         # every texel of the charts counts as surface, also those that no view shows
         surface = np.flatnonzero(tile.inside)
-        values, weights = (np.zeros(tile.inside.size) for _ in range(2))
-        values[total.texel], weights[total.texel] = fit.log_sigma, precision
-        places = tile.positions.reshape(-1, 3)
-        part = spread(places[surface], values[surface, None], weights[surface], lattice)
-        stride = max(len(informed) // SUBSET, 1)
-        return cls(total.texel, fit, part, places[total.texel[::stride]], stride)
+        values, weights = np.zeros((tile.inside.size, profile.shape[1])), np.zeros(tile.inside.size)
+        values[total.texel], weights[total.texel] = profile, 1
+        return spread(tile.positions.reshape(-1, 3)[surface], values[surface], weights[surface], lattice)
 
-
-@dataclass(frozen=True)
-class _Widths:
-    """The rule for sigma from a texel's own estimate and the field of its neighbours."""
-
-    field: LatticeField
-    scatter: float
-
-    @classmethod
-    def of(cls, first: list[_First], lattice: Lattice, freedom: float) -> "_Widths":
-        around = Neighbourhood(lattice, 1, [f.part for f in first])
-        default = np.log([DEFAULT_SIGMA])
-        guess = around.field(1 / SCATTER_SIGMA**2, default)
-        log_sigma = np.concatenate([f.fit.log_sigma[:: f.stride] for f in first] or [np.empty(0)])
-        information = np.concatenate([f.fit.information[:: f.stride] for f in first] or [np.empty(0)])
-        near = np.concatenate([guess.at(f.sample)[:, 0] for f in first] or [np.empty(0)])
-        scatter = max(freedom * _scatter(log_sigma - near, information, SCATTER_SIGMA), LEAST_SCATTER)
-        return cls(around.field(1 / scatter**2, default), scatter)
-
-    def sigma(self, positions: np.ndarray, log_sigma: np.ndarray, information: np.ndarray) -> np.ndarray:
-        """Compute sigma (points,) float32, radians."""
-        near = self.field.at(positions)[:, 0]
-        share = information / (information + 1 / self.scatter**2)
-        low, high = texel_fit.SIGMA_BOUNDS
-        return np.clip(np.exp(share * log_sigma + (1 - share) * near), low, high).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class _Second:
-    """Pass 2 of a tile: the texels' estimates of K_s."""
-
-    part: tuple
-    ks: np.ndarray  # of the sample, without a prior
-    information: np.ndarray
-    residual: np.ndarray
-    sample: np.ndarray
-
-    @classmethod
-    def of(cls, tile: Tile, capture: CaptureViews, widths: _Widths, first: _First, lattice: Lattice) -> "_Second":
-        total, _ = capture.observe(tile)
-        places = tile.positions.reshape(-1, 3)
-        sigma = widths.sigma(places[first.texel], first.fit.log_sigma, first.fit.information)
-        strengths = texel_fit.strengths(total, sigma, np.zeros_like(first.fit.ks), 0.0)
-        information = strengths.information
-        surface = np.flatnonzero(tile.inside)
-        channels = strengths.ks.shape[1]
-        values, weights = np.zeros((tile.inside.size, channels)), np.zeros(tile.inside.size)
-        values[first.texel], weights[first.texel] = strengths.ks, information
-        part = spread(places[surface], values[surface], weights[surface], lattice)
-        keep = slice(None, None, first.stride)
-        return cls(part, strengths.ks[keep], information[keep], strengths.residual[keep], first.sample)
+    parts = list(in_threads(spread_tile, tiles, threads))
+    return Neighbourhood(lattice, parts[0][1].shape[1] - 1 if parts else len(WIDTHS), parts)
 
 
 @dataclass(frozen=True)
 class _Gloss:
-    """The field of K_s, and how strongly a texel is drawn to it (in units of the texel's sums of squares)."""
+    """The field of profiles, the neighbours' pull, and sigma where no lobe gains, radians."""
 
     field: LatticeField
-    scatter: float
-    noise: float
-    level: float  # mean K_d
+    pull: float
+    sigma: float
 
     @classmethod
-    def of(cls, second: list[_Second], first: list[_First], lattice: Lattice, freedom: float) -> "_Gloss":
-        # of the observations that K_s is solved from: with components all light, whose diffuse part fits less well
-        noise = texel_fit.noise_of(np.concatenate([s.residual for s in second] or [np.empty(0)]))
-        channels = second[0].ks.shape[1] if second else 1
-        around = Neighbourhood(lattice, channels, [s.part for s in second])
-        mean = around.mean(np.zeros(channels))
-        guess = SCATTER_KS * max(float(np.mean(mean)), 1e-30)
-        rough = around.field(min((noise / guess) ** 2, MOST_PULL), mean)
-        apart = np.concatenate([(s.ks - rough.at(s.sample)).mean(axis=1) for s in second] or [np.empty(0)])
-        information = np.concatenate([s.information for s in second] or [np.empty(0)])
-        scatter = _scatter(apart, information / noise**2, guess)
-        scatter = max(freedom * scatter, LEAST_SCATTER * guess / SCATTER_KS)
-        levels = [f.fit.kd.mean(dtype=float) for f in first if len(f.texel)]
-        level = float(np.mean(levels)) if levels else 0.0
-        return cls(around.field(min((noise / scatter) ** 2, MOST_PULL), mean), scatter, noise, level)
-
-    @property
-    def pull(self) -> float:
-        """Precision of the prior, in the units of a texel's information."""
-        return min((self.noise / self.scatter) ** 2, MOST_PULL)
+    def of(cls, around: Neighbourhood, pull: float) -> "_Gloss":
+        mean = around.mean(np.zeros(around.size))
+        sigma = float(LobeProfile.from_columns(mean[None]).solve()[0][0]) if around.size > len(WIDTHS) else 0.0
+        return cls(around.field(pull, mean), pull, sigma or DEFAULT_SIGMA)
 
 
-@dataclass(frozen=True)
-class _Passes:
-    """The first two passes over all tiles."""
-
-    first: list[_First]
-    widths: _Widths
-    gloss: _Gloss
-
-    @classmethod
-    def of(
-        cls, read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, freedom: float,
-        first: list[_First], threads: int,
-    ) -> "_Passes":  # fmt: skip
-        """Run the second pass after the first; freedom: factor on the scatter about the neighbours."""
-        widths = _Widths.of(first, lattice, freedom)
-
-        def second(k: int) -> _Second:
-            return _Second.of(read(tiles[k]).joined, capture, widths, first[k], lattice)
-
-        gloss = _Gloss.of(list(in_threads(second, range(len(tiles)), threads)), first, lattice, freedom)
-        return cls(first, widths, gloss)
-
-
-def _first_pass(
-    read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, threads: int
-) -> list[_First]:
-    """Run the first pass over all tiles."""
-    return list(in_threads(lambda number: _First.of(read(number), capture, lattice), tiles, threads))
-
-
-def _third(tile: Tile, capture: CaptureViews, widths: _Widths, gloss: _Gloss, first: _First) -> Parameters:
-    """Run pass 3 on a tile: fit K_d and K_s with the prior, and fill unknown texels."""
-    total, _ = capture.observe(tile)
+def _fit_tile(tile: Tile, capture: CaptureViews, gloss: _Gloss) -> Parameters:
+    """Find the parameters of a tile's texels, and fill K_d where it is unknown."""
+    own, specular = capture.observe(tile)
+    total = own if specular is None else capture.observe(tile.joined)[0]
     shape, channels = tile.inside.shape, tile.values.shape[-1]
-    places = tile.positions.reshape(-1, 3)
-    surface = np.flatnonzero(tile.inside)
-    log_sigma, information = np.zeros(tile.inside.size), np.zeros(tile.inside.size)
-    log_sigma[first.texel], information[first.texel] = first.fit.log_sigma, first.fit.information
-    sigma = np.zeros(tile.inside.size, np.float32)
-    sigma[surface] = widths.sigma(places[surface], log_sigma[surface], information[surface])
-    ks, kd = (np.zeros((tile.inside.size, channels), np.float32) for _ in range(2))
-    ks[surface] = np.maximum(gloss.field.at(places[surface]), 0)
-    strengths = texel_fit.strengths(total, sigma[first.texel], ks[first.texel], gloss.pull)
-    kd[first.texel], ks[first.texel] = strengths.kd, strengths.ks
-    unconstrained = gloss.noise > KS_UNCONSTRAINED * gloss.level * np.sqrt(strengths.information)
-    flags = np.full(tile.inside.size, TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.KS_UNCONSTRAINED, np.uint8)
-    of_seen = np.where(total.seen < 2, TexelFlag.ONCE, 0) | np.where(unconstrained, TexelFlag.KS_UNCONSTRAINED, 0)
-    of_seen |= np.where(first.fit.information > 0, 0, TexelFlag.NO_HIGHLIGHT)
-    flags[first.texel] = np.where(total.seen > 0, of_seen, flags[first.texel])
-    flags[~tile.inside.ravel()] = TexelFlag.OUTSIDE
-    flags = flags.reshape(tile.inside.shape)
+    surface, place = np.flatnonzero(tile.inside), np.zeros(tile.inside.size, int)
+    place[surface] = np.arange(len(surface))
+    here, profile = place[total.texel], LobeProfile.of(own, specular)
+    columns = gloss.pull * gloss.field.at(tile.positions.reshape(-1, 3)[surface]).astype(np.float64)
+    columns[here] += profile.columns
+    widths, strengths = LobeProfile.from_columns(columns).solve()
+    widths = np.where(widths > 0, widths, np.float32(gloss.sigma))
+    lobes = texel_fit.lobes_of(total, widths[here])
+    kd, ks = (np.zeros((tile.inside.size, channels), np.float32) for _ in range(2))
+    sigma, flags = np.zeros(tile.inside.size, np.float32), np.full(tile.inside.size, TexelFlag.OUTSIDE, np.uint8)
+    body = texel_fit.lambert(total, lobes[..., None] * strengths[here][:, None])
+    # without a body (K_d would be negative) all light is the lobe's
+    alone = replace(total, diffuse=lobes.astype(np.float32))
+    strengths[here] = np.where(body > 0, strengths[here], np.minimum(strengths[here], texel_fit.lambert(alone)))
+    kd[total.texel] = body
+    sigma[surface], ks[surface] = widths, strengths
+    flags[surface] = TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.KS_UNCONSTRAINED
+    near = ((total.alpha <= widths[here, None]) & (total.weights > 0)).any(axis=1)
+    nearest = np.abs(np.log(WIDTHS) - np.log(widths[here, None])).argmin(axis=1)
+    weight = total.weights.sum(axis=1) / np.maximum(total.seen, 1)
+    informed = profile.power[np.arange(len(here)), nearest] > LEAST_POWER * weight
+    told = np.where(total.seen < 2, TexelFlag.ONCE, 0) | np.where(informed, 0, TexelFlag.KS_UNCONSTRAINED)
+    told |= np.where(near, 0, TexelFlag.NO_HIGHLIGHT)
+    flags[total.texel] = np.where(total.seen > 0, told, flags[total.texel])
+    flags = flags.reshape(shape)
     known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0
-    inside = tile.inside
     joined = np.concatenate([ks.reshape(*shape, channels), sigma.reshape(*shape, 1)], axis=-1)
-    joined = fill(joined, inside)
-    if not inside.any():
-        joined[..., channels] = np.exp(widths.field.mean[0])
+    joined = fill(joined, tile.inside)
+    if not tile.inside.any():
+        joined[..., channels] = gloss.sigma
     return Parameters(fill(kd.reshape(*shape, channels), known), joined[..., :channels], joined[..., channels], flags)
 
 
-def _counts(flags: np.ndarray) -> np.ndarray:
-    inside = (flags & TexelFlag.OUTSIDE) == 0
+def _counts(parameters: Parameters) -> np.ndarray:
+    """Count texels inside charts: all, by four flags, and with a width at an end of WIDTHS."""
+    inside = (parameters.flags & TexelFlag.OUTSIDE) == 0
     bits = (TexelFlag.NO_HIGHLIGHT, TexelFlag.KS_UNCONSTRAINED, TexelFlag.UNSEEN, TexelFlag.ONCE)
-    return np.array([inside.sum(), *(np.sum(inside & ((flags & bit) != 0)) for bit in bits)], np.int64)
+    ended = (parameters.sigma <= WIDTHS[0] * 1.001) | (parameters.sigma >= WIDTHS[-1] * 0.999)
+    parts = [inside, *(inside & ((parameters.flags & bit) != 0) for bit in bits), inside & ended]
+    return np.array([part.sum() for part in parts], np.int64)
 
 
-def _describe(first: list[_First], widths: _Widths, gloss: _Gloss, finished: list) -> ObjectFit:
-    found, _ = _totals(finished)
-    log_sigma = np.concatenate([f.fit.log_sigma[f.fit.information > 0] for f in first] or [np.empty(0)])
-    ended = sum(int(np.sum((f.fit.flags & FitFlag.AT_BOUND) != 0)) for f in first)
-    return replace(
-        found,
-        median_sigma=float(np.exp(np.median(log_sigma))) if log_sigma.size else None,
-        scatter_log_sigma=widths.scatter,
-        scatter_ks=gloss.scatter,
-        noise=gloss.noise,
-        at_bound_share=ended / max(found.texels, 1),
-    )
-
-
-def _totals(finished: list[tuple[np.ndarray, float, int]]) -> tuple[ObjectFit, float]:
-    """Compute the figures of all tiles from counts of flags, squared errors and samples; and the mean squared error."""
-    counts = sum((counted for counted, _, _ in finished), np.zeros(5, np.int64))
+def _totals(finished: list[tuple[np.ndarray, float, int]]) -> ObjectFit:
+    """Compute the figures of all tiles from counts, squared errors and numbers of samples."""
+    counts = sum((counted for counted, _, _ in finished), np.zeros(6, np.int64))
     squares = sum(squared for _, squared, _ in finished)
     samples = sum(number for _, _, number in finished)
-    dark, filled, unseen, once = (counts[1:] / max(int(counts[0]), 1)).tolist()
-    mean = squares / max(samples, 1)
-    psnr = -10 * float(np.log10(max(mean, 1e-30))) if samples else None
-    found = ObjectFit(int(counts[0]), samples, psnr, 1 - dark, filled, unseen, once)
-    return found, mean
-
-
-def _scatter(apart: np.ndarray, information: np.ndarray, guess: float) -> float:
-    """Estimate the deviation of true values about the neighbourhood: apart (n,), less its variance 1 / information."""
-    apart, information = apart.astype(np.float64), information.astype(np.float64)
-    informed = information * guess**2 > 1
-    if informed.sum() < 30:
-        return guess
-    variance = 1 / information[informed]
-    square = np.minimum(apart[informed] ** 2, (4 * guess) ** 2 + 9 * variance)
-    weight = 1 / (variance + guess**2) ** 2
-    return float(np.sqrt(max(np.sum(weight * (square - variance)) / np.sum(weight), 0)))
+    dark, filled, unseen, once, ended = (counts[1:] / max(int(counts[0]), 1)).tolist()
+    psnr = -10 * float(np.log10(max(squares / samples, 1e-30))) if samples else None
+    return ObjectFit(int(counts[0]), samples, psnr, 1 - dark, filled, unseen, once, ended)
 
 
 def fit_lambert(
@@ -361,10 +232,9 @@ def fit_lambert(
         tile = read(number).joined
         parameters = lambert_tile(tile, capture)
         write(number, parameters)
-        return _counts(parameters.flags), *capture.squares(parameters, tile)
+        return _counts(parameters), *capture.squares(parameters, tile)
 
-    found, mean = _totals(list(in_threads(finish, tiles, threads)))
-    return replace(found, highlight_share=0.0, noise=float(np.sqrt(mean)))
+    return _totals(list(in_threads(finish, tiles, threads)))
 
 
 def lambert_tile(tile: Tile, capture: CaptureViews) -> Parameters:

@@ -3,9 +3,9 @@
 A texel is seen in a third of the views of a turn, or fewer: only these observations are kept, side by side, and a
 count for each texel.
 
-`first_fit` finds what the observations of a texel say alone, with how well they say it; `strengths` then solves for K_d
-and K_s at a given sigma with a prior for K_s from the neighbours (`nishiki.brdf.texels.neighbours`).  Uncertainties are
-relative: how much information the texel has, in units of 1 / noise^2, noise being the scene's (see `noise_of`).
+A turn shows a texel near the mirror direction in one view or two, which determine no lobe: `LobeProfile` holds the
+sums by which texels that share a lobe determine it together (`nishiki.brdf.texels.neighbours`), and `lambert` then
+solves for the K_d of each texel.
 """
 
 from collections.abc import Callable
@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
 from nishiki.brdf.slopes import GRAZING
 from nishiki.brdf.texels.model import ViewLamp, factors, predict
 from nishiki.brdf.texels.parameters import Parameters
@@ -212,103 +211,89 @@ class CaptureViews:
         return diffuse + specular
 
 
-WIDTH_OF_SIGMA = float(np.sqrt(2 * np.log(2)))  # half width at half maximum = WIDTH_OF_SIGMA sigma
-SIGMA_BOUNDS = (0.02, 1.2)  # radians
-LOST = FitFlag.NO_HIGHLIGHT | FitFlag.TOO_FEW | FitFlag.UNDETERMINED | FitFlag.AT_BOUND
+WIDTHS = np.geomspace(
+    0.02, 0.35, 24
+)  # radians: sigma of the lobes that are tried; broader ones stand for wrong normals
+TAIL = 1e-5  # of an observation at the peak: a lobe of which less is seen is not extrapolated from its tail
 
 
 @dataclass(frozen=True)
-class FirstFit:
-    """The fit to each point's own observations; arrays (points,) or (points, channels), float32.
+class LobeProfile:
+    """Sums over observations from which the gain of a lobe of each of WIDTHS follows, K_d being eliminated.
 
-    log_sigma is usable where information > 0 (a highlight was observed and its width is determined): the inverse
-    variance of log_sigma.  residual: root mean square, weighted.  flags: bits of FitFlag.
+    With s the part of a lobe that K_d cannot explain and y the values: power (points, widths) sum w s^2, match (points,
+    widths, channels) sum w s y. Profiles of several texels add up to that of a lobe that they share, whatever their
+    K_d (G. H. Golub, V. Pereyra, The differentiation of pseudo-inverses and nonlinear least squares problems whose
+    variables separate, SIAM Journal on Numerical Analysis 10, 1973).
     """
 
-    kd: np.ndarray
-    ks: np.ndarray
-    log_sigma: np.ndarray
-    information: np.ndarray
-    residual: np.ndarray
-    flags: np.ndarray
+    power: np.ndarray
+    match: np.ndarray
+
+    @classmethod
+    def of(cls, total: TileSamples, specular: TileSamples | None = None) -> "LobeProfile":
+        """Sum the observations of each texel: of its specular component, where there is one, without K_d."""
+        data = total if specular is None else specular
+        weights, values = data.weights.astype(np.float64), data.values.astype(np.float64)
+        weighted = weights * data.diffuse
+        below = np.einsum("ps,ps->p", weighted, data.diffuse)
+        seen = (below > 0) & (specular is None)
+        share = np.where(seen, 1 / np.where(seen, below, 1), 0)
+        body = np.einsum("ps,psc->pc", weighted, values)
+        least = TAIL * weights.sum(axis=1) / np.maximum(data.seen, 1)
+        power, match = (np.empty((len(values), len(WIDTHS), *shape)) for shape in ((), values.shape[2:]))
+        for place, sigma in enumerate(WIDTHS):
+            lobe = lobes_of(data, np.full(len(values), sigma))
+            mixed = np.einsum("ps,ps->p", weighted, lobe) * share
+            apart = np.einsum("ps,ps,ps->p", weights, lobe, lobe)
+            power[:, place] = np.maximum(apart - mixed**2 * below, 0) + least
+            match[:, place] = np.einsum("ps,psc->pc", weights * lobe, values) - mixed[:, None] * body
+        return cls(power, match)
+
+    @property
+    def columns(self) -> np.ndarray:
+        """The profile as (points, numbers)."""
+        count, widths, channels = self.match.shape
+        return np.column_stack([self.power, self.match.reshape(count, widths * channels)])
+
+    @classmethod
+    def from_columns(cls, columns: np.ndarray) -> "LobeProfile":
+        """Make a profile of (points, numbers)."""
+        points, numbers = columns.shape
+        count = len(WIDTHS)
+        return cls(columns[:, :count], columns[:, count:].reshape(points, count, numbers // count - 1))
+
+    def solve(self) -> tuple[np.ndarray, np.ndarray]:
+        """Find sigma (points,) radians and K_s >= 0 (points, channels) of the lobe that explains most, float32.
+
+        Between the widths a parabola through the best one and its neighbours. 0 where no lobe gains: at no width.
+        """
+        strength = np.maximum(self.match, 0) / np.maximum(self.power, 1e-300)[..., None]
+        gain = (strength * np.maximum(self.match, 0)).sum(axis=2)
+        best = np.clip(gain.argmax(axis=1), 1, len(WIDTHS) - 2)
+        rows, around = np.arange(len(gain)), best[:, None] + np.array([-1, 0, 1])
+        left, middle, right = gain[rows[:, None], around].T
+        bend = left - 2 * middle + right
+        step = np.where(bend < 0, (left - right) / np.where(bend < 0, 2 * bend, -1), np.where(right > left, 1, -1))
+        step = np.clip(step, -1, 1)
+        ratio = np.log(WIDTHS[1] / WIDTHS[0])
+        sigma = np.where(gain.max(axis=1) > 0, WIDTHS[best] * np.exp(step * ratio), 0)
+        weights = np.stack([step * (step - 1) / 2, 1 - step**2, step * (step + 1) / 2], axis=1)
+        ks = np.einsum("pk,pkc->pc", weights, strength[rows[:, None], around])
+        return sigma.astype(np.float32), np.maximum(ks, 0).astype(np.float32)
 
 
-def first_fit(total: TileSamples, specular: TileSamples | None = None) -> FirstFit:
-    """Fit each texel alone.
+def lobes_of(data: TileSamples, sigma: np.ndarray) -> np.ndarray:
+    """Evaluate what multiplies K_s (points, slots) at sigma (points,)."""
+    return data.attenuation * np.exp(-0.5 * (data.alpha / sigma[:, None].astype(np.float64)) ** 2)
 
-    total: observations of Lambert + lobe; where `specular` (the same slots) is given, `total` holds the diffuse
-    component, and the two terms are fitted apart (Miyazaki et al. 2007, sections 3.1, 3.2).
+
+def lambert(data: TileSamples, gloss: np.ndarray | float = 0.0) -> np.ndarray:
+    """Fit K_d (points, channels) float32 to what gloss (points, slots, channels) leaves of the values.
+
+    Least squares weighted by cos(theta_r), Miyazaki et al. (2007), section 3.1.
     """
-    data, basis = (total, total.diffuse) if specular is None else (specular, None)
-    low, high = (bound * WIDTH_OF_SIGMA for bound in SIGMA_BOUNDS)
-    fit = fit_torrance_sparrow(
-        data.alpha,
-        data.values,
-        weights=data.weights,
-        attenuation=data.attenuation,
-        diffuse=basis,
-        gamma_bounds=(low, high),
-    )
-    known = ((fit.flags & LOST) == 0) & np.isfinite(fit.gamma) & (fit.sigma_log_gamma > 0)
-    log_sigma = np.log(np.where(known, fit.gamma / WIDTH_OF_SIGMA, 1)).astype(np.float32)
-    information = np.where(known, 1 / np.where(known, fit.sigma_log_gamma, 1) ** 2, 0).astype(np.float32)
-    kd = fit.diffuse if specular is None else lambert(total)
-    return FirstFit(kd, fit.specular, log_sigma, information, fit.residual, fit.flags)
-
-
-def lambert(data: TileSamples) -> np.ndarray:
-    """Fit K_d (points, channels) float32 alone: least squares weighted by cos(theta_r), Miyazaki et al. (2007), 3.1."""
     weighted = data.weights * data.diffuse
-    top = np.einsum("ps,psc->pc", weighted, data.values)
+    top = np.einsum("ps,psc->pc", weighted, data.values - gloss)
     below = np.einsum("ps,ps->p", weighted, data.diffuse)[:, None]
     return np.maximum(np.where(below > 0, top / np.where(below > 0, below, 1), 0), 0).astype(np.float32)
-
-
-@dataclass(frozen=True)
-class Strengths:
-    """K_d and K_s (points, channels) at given sigma."""
-
-    kd: np.ndarray
-    ks: np.ndarray
-    information: np.ndarray  # (points,): what the data alone say of K_s
-    # (points,): root mean square of the weighted residuals of the observations that K_s follows from
-    residual: np.ndarray
-
-
-def strengths(total: TileSamples, sigma: np.ndarray, prior: np.ndarray, precision: float) -> Strengths:
-    """Solve for K_d and K_s >= 0 of every texel at its sigma (points,), K_s drawn towards prior (points, channels).
-
-    Minimises sum w (y - K_d q - K_s s)^2 + precision (K_s - prior)^2 for each channel, K_d >= 0 and K_s >= 0, s the
-    lobe at sigma.  A texel whose observations are far from the mirror direction has no information on K_s and takes the
-    prior; one that was seen there and shows nothing gets K_s near 0.
-    """
-    q = total.diffuse.astype(np.float64)
-    s = total.attenuation * np.exp(-((total.alpha / (np.sqrt(2) * sigma[:, None].astype(np.float64))) ** 2))
-    columns, weights = np.stack([s, q], axis=1), total.weights.astype(np.float64)[:, None]
-    weighted, values = columns * weights, total.values.astype(np.float64)
-    (a, b), (_, d) = np.moveaxis(weighted @ columns.swapaxes(1, 2), 0, -1)[..., None]
-    u, v = np.moveaxis(weighted @ values, 1, 0)
-    ks, kd = _pair(a + precision, b, d, u + precision * prior, v)
-    information = np.where(d > 0, np.maximum(a - b * b / np.where(d > 0, d, 1), 0), a)[:, 0]
-    explained = ks * (2 * u - a * ks - 2 * b * kd) + kd * (2 * v - d * kd)
-    squares = np.sum((weights @ values**2)[:, 0] - explained, axis=1)
-    residual = np.sqrt(np.maximum(squares, 0) / np.maximum(total.seen * values.shape[2], 1))
-    return Strengths(*(values.astype(np.float32) for values in (kd, ks, information, residual)))
-
-
-def _pair(a, b, d, u, v) -> tuple[np.ndarray, np.ndarray]:
-    """Solve least squares in two non-negative unknowns: (of u, of v); 0 where a column is empty."""
-    determinant = a * d - b * b
-    regular = determinant > 1e-12 * a * d
-    scale = 1 / np.where(regular, determinant, 1)
-    k, m = (d * u - b * v) * scale, (a * v - b * u) * scale
-    inside = regular & (k >= 0) & (m >= 0)
-    k_alone, m_alone = (np.maximum(x, 0) / np.where(y > 0, y, np.inf) for x, y in ((u, a), (v, d)))
-    first = k_alone * u > m_alone * v
-    return np.where(inside, k, np.where(first, k_alone, 0)), np.where(inside, m, np.where(first, 0, m_alone))
-
-
-def noise_of(residuals: np.ndarray) -> float:
-    """Estimate the scene's noise (of weighted observations): median of the texels' root mean square residuals."""
-    good = residuals[np.isfinite(residuals) & (residuals > 0)]
-    return float(np.median(good)) if good.size else 1.0

@@ -70,7 +70,7 @@ def run(context: Context) -> dict:
     at_bounds = []
     if specular and fit.at_bound_share:
         share = f"{100 * fit.at_bound_share:.2g} %"
-        at_bounds = [f"width of the lobe, {share} of the texels; the neighbours' is taken there"]
+        at_bounds = [f"width of the lobe, {share} of the texels"]
     text = json.dumps(report, indent=1, sort_keys=True, allow_nan=False)
     context.output.path("object_brdf.json").write_text(text + "\n")
     return {

@@ -332,7 +332,7 @@ MODEL = (
     ("texels where a highlight was observed, %", "highlight_share", 100),
     ("median width of a highlight, degrees", "median_sigma", 180 / np.pi),
     ("texels whose strength of the highlight is that of neighbours, %", "filled_share", 100),
-    ("variation of highlights between neighbours (1: as fitted, 0: hardly any)", "freedom", 1),
+    ("texels as which the neighbours of a texel count for its highlight", "pull", 1),
     ("texels that no view shows, with everything of neighbours, %", "unseen_share", 100),
 )
 """Facts on the reflection model, as of `fact_rows`."""
