@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.errors import NotFinite
+from nishiki.errors import NotFinite, UserError
 from nishiki.threads import in_threads, strips
 
 
@@ -303,7 +303,7 @@ def jpeg_bytes(picture: Samples, quality: int, *, halved: bool = False) -> bytes
         *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling),
         *(cv2.IMWRITE_JPEG_OPTIMIZE, 1),
     ]
-    return cv2.imencode(".jpg", np.ascontiguousarray(picture[..., ::-1]), options)[1].tobytes()
+    return _encode(".jpg", picture[..., ::-1], options)
 
 
 def png_bytes(picture: np.ndarray, level: int | None = None) -> bytes:
@@ -323,9 +323,19 @@ def png_bytes(picture: np.ndarray, level: int | None = None) -> bytes:
     """
     import cv2
 
-    order = [2, 1, 0, 3][: picture.shape[2]] if picture.ndim == 3 else slice(None)
-    options = [] if level is None else [cv2.IMWRITE_PNG_COMPRESSION, level]
-    return cv2.imencode(".png", np.ascontiguousarray(picture[..., order]), options)[1].tobytes()
+    order = [2, 1, 0, 3][: picture.shape[2]] if picture.ndim == 3 and picture.shape[2] > 1 else slice(None)
+    return _encode(".png", picture[..., order], [] if level is None else [cv2.IMWRITE_PNG_COMPRESSION, level])
+
+
+def _encode(kind: str, picture: np.ndarray, options: list[int]) -> bytes:
+    import cv2
+
+    done, coded = cv2.imencode(kind, np.ascontiguousarray(picture), options)
+    if not done:
+        raise UserError(
+            f"picture of {' x '.join(map(str, picture.shape))}: cannot be stored as {kind}. Remedy: shrink it"
+        )
+    return coded.tobytes()
 
 
 def read_jpeg(path: Path) -> Samples:

@@ -50,6 +50,7 @@ FINEST_SIZE_PX = 100
 WIDTHS = (1.0, 0.7)
 """Parts of the limit above which neighbours of a contradicted place are tried as part of its region: towards its rim a
 hollow is shallow, and there the residual falls."""
+FLATNESS = 0.75  # power of the solution of Poisson's equation that is a hollow's profile
 DEPTHS = np.geomspace(0.05, 0.94, 12)
 """Depths as parts of the object's extent along the direction."""
 
@@ -277,15 +278,16 @@ class Hollow:
         from scipy.sparse.linalg import spsolve
 
         direction = -mesh.normals[region].sum(axis=0).astype(np.float64)
-        # Poisson's equation: its root grows with the distance to the border; a bowl is flatter there, and in its middle
+        # The root of the solution of Poisson's equation grows with the distance to the border, which makes a cone;
+        # FLATNESS makes a bowl of it.
         profile = np.zeros(len(region))
         inner = (eye(len(region)) - neighbourhoods(mesh)).tocsr()[region][:, region]
         profile[region] = np.maximum(spsolve(inner.tocsc(), np.ones(int(region.sum()))), 0)
-        profile = (profile / max(profile.max(), 1e-12)) ** 0.75
+        profile = (profile / max(profile.max(), 1e-12)) ** FLATNESS
         return cls(region, profile, direction / max(np.linalg.norm(direction), 1e-12))
 
     def sunk(self, mesh: Mesh, part: float) -> Mesh:
-        """Sink a mesh by a part of its extent, times the profile."""
+        """Sink a mesh by a part of its extent along the direction, times the profile."""
         shift = (part * np.ptp(mesh.vertices @ self.direction) * self.profile)[:, None] * self.direction
         return Mesh.of(mesh.vertices + shift, mesh.triangles)
 
@@ -304,7 +306,10 @@ def sink(mesh: Mesh, regions: list[np.ndarray], photographed: ShadingPhotographs
         return seen.residual(sunk, widest) if fits else np.inf
 
     trials = [(hollow, part) for region in regions for hollow in (Hollow.of(mesh, region),) for part in DEPTHS]
-    hollow, part = min(trials, key=lambda trial: judge(*trial))
+    residuals = [judge(*trial) for trial in trials]
+    hollow, part = trials[int(np.argmin(residuals))]
+    if not np.isfinite(min(residuals)):  # every depth passes a silhouette
+        return mesh, []
     result = hollow.sunk(mesh, part)
     before, after = (seen.residual(each, core) for each in (mesh, result))
     if not after < IMPROVEMENT * before:

@@ -89,12 +89,13 @@ class LatticeField:
 
 def _share(places: np.ndarray, sums: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Share sums (n, s) at places (n, 3), in cells, among the nodes around by tent weights; merge them by node."""
-    keys, parts = [], []
-    for corner, weight in _nodes_around(places):
-        there = weight > 0
-        keys.append(corner[there])
-        parts.append(weight[there, None] * sums[there])
-    return _merge(np.concatenate(keys), np.concatenate(parts))
+    from scipy.sparse import csr_array
+
+    keys, weights = map(np.concatenate, zip(*_nodes_around(places), strict=True))
+    there, texel = weights > 0, np.tile(np.arange(len(places)), 8)
+    nodes, row = np.unique(keys[there], return_inverse=True)
+    shares = csr_array((weights[there], (row, texel[there])), shape=(len(nodes), len(places)))
+    return nodes, shares @ sums
 
 
 def _nodes_around(places: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:

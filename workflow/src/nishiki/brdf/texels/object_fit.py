@@ -3,28 +3,28 @@
 A texel turns by ten degrees from view to view, so that one or two of them show its highlight: width and strength follow
 from many texels together.  Each texel adds what its observations say of lobes of all widths, whatever its K_d
 (`texel_fit.LobeProfile`); these sums are smoothed over the surface, and each texel takes the lobe that explains most of
-the sums of its neighbours and of its own.  K_d is then its own.  The neighbours count as `pull` texels: of PULLS, those
-are taken with which captured views that are hidden from a trial are predicted best.  Profiles stay in memory on the
+the sums of its neighbours and of its own.  K_d is then its own.  The neighbours count as `pull` texels; `pull` is
+the one of PULLS that predicts best the captured views hidden in a trial.  Profiles stay in memory on the
 nodes of a lattice; texels are read anew in every pass.
 """
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
 from nishiki.brdf.texels import texel_fit
 from nishiki.brdf.texels.neighbours import Lattice, LatticeField, Neighbourhood, fill, spread
 from nishiki.brdf.texels.parameters import Parameters, TexelFlag
-from nishiki.brdf.texels.texel_fit import WIDTHS, CaptureViews, LobeProfile, Tile
+from nishiki.brdf.texels.texel_fit import WIDTHS, CaptureViews, LobeProfile, Tile, TileSamples
 from nishiki.threads import in_threads
 
 CELL = 8  # edge of the finest lattice's cells, in texels
 FAR = 1 << 16  # cells from the world's origin: half of it is near
 DEFAULT_SIGMA = 0.2  # radians, where no highlight was seen on the whole object
-PULLS = (512.0, 64.0, 8.0, 1.0, 0.1)  # texels as which the neighbours count that are tried; the first without views
-JUDGED = 8  # tiles, about, on which they are
+PULLS = (512.0, 64.0, 8.0, 1.0, 0.1)
+"""Numbers of texels as which the neighbours may count; the first is used where too few views show the trial's tiles."""
+JUDGED = 8  # approximate number of tiles in the trial
 LEAST_POWER = 0.04  # observations at a lobe's peak below which a texel's own K_s is taken to say nothing
 
 
@@ -41,7 +41,7 @@ class ObjectFit:
     once_share: float
     at_bound_share: float = 0.0  # sigma at an end of WIDTHS
     median_sigma: float | None = None  # radians, of the texels with a highlight
-    pull: float = 0.0  # of PULLS
+    pull: float | None = None  # of PULLS; None without gloss
 
 
 def fit_object(
@@ -69,7 +69,7 @@ def fit_object(
 
     def finish(k: int) -> tuple[np.ndarray, float, int, np.ndarray]:
         tile = read(tiles[k])
-        parameters = _fit_tile(tile, capture, gloss)
+        parameters = _fit_tile(tile, *_observe(tile, capture), gloss)
         write(tiles[k], parameters)
         shown = (parameters.flags & (TexelFlag.OUTSIDE | TexelFlag.NO_HIGHLIGHT)) == 0
         return _counts(parameters), *capture.squares(parameters, tile.joined), parameters.sigma[shown]
@@ -100,20 +100,22 @@ def _choose_pull(
         visible[[middle for _, middle, _ in rows]] = False
         return replace(tile, visible=visible)
 
-    def error(k: int, gloss: "_Gloss") -> float:
-        tile, total = read(tiles[k]).joined, 0.0
-        fitted = _fit_tile(read_tile(tiles[k]), capture, gloss)
-        for row in rows:
-            seen = tile.visible[list(row)].all(axis=0) & tile.inside
-            before, here, after = (capture.subtract_prediction(fitted, tile, int(view), seen) for view in row)
-            total += float(np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64))
-        return total
+    around = _gather(read_tile, tiles, capture, lattice, threads)
+    glosses = [_Gloss.of(around, pull) for pull in PULLS]
 
-    errors, parts = [], _gather(read_tile, tiles, capture, lattice, threads)
-    for pull in PULLS:
-        gloss = _Gloss.of(parts, pull)
-        errors.append(sum(in_threads(partial(error, gloss=gloss), range(len(tiles)), threads)))
-    return PULLS[int(np.argmin(errors))]
+    def measure_errors(number: int) -> np.ndarray:
+        tile, hidden = read(number).joined, read_tile(number)
+        observed, errors = _observe(hidden, capture), np.zeros(len(PULLS))
+        for place, gloss in enumerate(glosses):
+            fitted = _fit_tile(hidden, *observed, gloss)
+            for row in rows:
+                seen = tile.visible[list(row)].all(axis=0) & tile.inside
+                before, here, after = (capture.subtract_prediction(fitted, tile, int(view), seen) for view in row)
+                errors[place] += np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64)
+        return errors
+
+    total = sum(in_threads(measure_errors, tiles, threads), np.zeros(len(PULLS)))
+    return PULLS[int(np.argmin(total))]
 
 
 def spacing(tiles: list[Tile]) -> float:
@@ -130,12 +132,12 @@ def _gather(
 
     def spread_tile(number: int) -> tuple:
         tile = read(number)
-        total, specular = capture.observe(tile)
-        profile = LobeProfile.of(total, specular).columns
+        total, profile = _observe(tile, capture)
         # every texel of the charts counts as surface, also those that no view shows
         surface = np.flatnonzero(tile.inside)
-        values, weights = np.zeros((tile.inside.size, profile.shape[1])), np.zeros(tile.inside.size)
-        values[total.texel], weights[total.texel] = profile, 1
+        columns = profile.columns
+        values, weights = np.zeros((tile.inside.size, columns.shape[1])), np.zeros(tile.inside.size)
+        values[total.texel], weights[total.texel] = columns, 1
         return spread(tile.positions.reshape(-1, 3)[surface], values[surface], weights[surface], lattice)
 
     parts = list(in_threads(spread_tile, tiles, threads))
@@ -157,14 +159,19 @@ class _Gloss:
         return cls(around.field(pull, mean), pull, sigma or DEFAULT_SIGMA)
 
 
-def _fit_tile(tile: Tile, capture: CaptureViews, gloss: _Gloss) -> Parameters:
-    """Find the parameters of a tile's texels, and fill K_d where it is unknown."""
+def _observe(tile: Tile, capture: CaptureViews) -> tuple[TileSamples, LobeProfile]:
+    """Gather a tile's total radiance, and the profiles of its texels, from the specular component where it has one."""
     own, specular = capture.observe(tile)
     total = own if specular is None else capture.observe(tile.joined)[0]
+    return total, LobeProfile.of(own, specular)
+
+
+def _fit_tile(tile: Tile, total: TileSamples, profile: LobeProfile, gloss: _Gloss) -> Parameters:
+    """Find the parameters of a tile's texels, and fill K_d where it is unknown."""
     shape, channels = tile.inside.shape, tile.values.shape[-1]
     surface, place = np.flatnonzero(tile.inside), np.zeros(tile.inside.size, int)
     place[surface] = np.arange(len(surface))
-    here, profile = place[total.texel], LobeProfile.of(own, specular)
+    here = place[total.texel]
     columns = gloss.pull * gloss.field.at(tile.positions.reshape(-1, 3)[surface]).astype(np.float64)
     columns[here] += profile.columns
     widths, strengths = LobeProfile.from_columns(columns).solve()
@@ -173,9 +180,11 @@ def _fit_tile(tile: Tile, capture: CaptureViews, gloss: _Gloss) -> Parameters:
     kd, ks = (np.zeros((tile.inside.size, channels), np.float32) for _ in range(2))
     sigma, flags = np.zeros(tile.inside.size, np.float32), np.full(tile.inside.size, TexelFlag.OUTSIDE, np.uint8)
     body = texel_fit.lambert(total, lobes[..., None] * strengths[here][:, None])
-    # without a body (K_d would be negative) all light is the lobe's
-    alone = replace(total, diffuse=lobes.astype(np.float32))
-    strengths[here] = np.where(body > 0, strengths[here], np.minimum(strengths[here], texel_fit.lambert(alone)))
+    # Without a body (K_d would be negative) all light is the lobe's, where an observation shows the lobe.
+    alone = texel_fit.lambert(replace(total, diffuse=lobes.astype(np.float32)))
+    shown = np.einsum("ps,ps,ps->p", total.weights, lobes, lobes) > 0
+    capped = shown[:, None] & (body <= 0)
+    strengths[here] = np.where(capped, np.minimum(strengths[here], alone), strengths[here])
     kd[total.texel] = body
     sigma[surface], ks[surface] = widths, strengths
     flags[surface] = TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.KS_UNCONSTRAINED
@@ -209,7 +218,7 @@ def _totals(finished: list[tuple[np.ndarray, float, int]]) -> ObjectFit:
     counts = sum((counted for counted, _, _ in finished), np.zeros(6, np.int64))
     squares = sum(squared for _, squared, _ in finished)
     samples = sum(number for _, _, number in finished)
-    dark, filled, unseen, once, ended = (counts[1:] / max(int(counts[0]), 1)).tolist()
+    dark, filled, unseen, once, ended = (counts[1:] / int(counts[0])).tolist() if counts[0] else (1.0, 0, 0, 0, 0)
     psnr = -10 * float(np.log10(max(squares / samples, 1e-30))) if samples else None
     return ObjectFit(int(counts[0]), samples, psnr, 1 - dark, filled, unseen, once, ended)
 

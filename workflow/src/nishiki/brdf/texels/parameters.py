@@ -20,8 +20,8 @@ class TexelFlag(IntFlag):
     OUTSIDE = 1  # of the chart: filled, never looked at
     UNSEEN = 2  # no usable observation (hidden, or saturated in every view): K_d too is from the neighbours
     ONCE = 4  # a single usable observation
-    NO_HIGHLIGHT = 8  # no highlight of a determined width observed: sigma is the neighbours'
-    KS_UNCONSTRAINED = 16  # nor was it looked at near the mirror direction: K_s too is the neighbours'
+    NO_HIGHLIGHT = 8  # no view within sigma of the mirror direction
+    KS_UNCONSTRAINED = 16  # its views show next to nothing of the lobe: K_s and sigma are the neighbours'
 
 
 @dataclass(frozen=True)

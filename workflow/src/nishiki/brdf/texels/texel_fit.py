@@ -211,9 +211,8 @@ class CaptureViews:
         return diffuse + specular
 
 
-WIDTHS = np.geomspace(
-    0.02, 0.35, 24
-)  # radians: sigma of the lobes that are tried; broader ones stand for wrong normals
+WIDTHS = np.geomspace(0.02, 0.35, 24)
+"""Radians: sigma of the lobes that are tried. Under wrong normals broader ones would stand for the body."""
 TAIL = 1e-5  # of an observation at the peak: a lobe of which less is seen is not extrapolated from its tail
 
 
@@ -266,7 +265,7 @@ class LobeProfile:
     def solve(self) -> tuple[np.ndarray, np.ndarray]:
         """Find sigma (points,) radians and K_s >= 0 (points, channels) of the lobe that explains most, float32.
 
-        Between the widths a parabola through the best one and its neighbours. 0 where no lobe gains: at no width.
+        A parabola through the best of the widths and its neighbours is used. Both are 0 where no lobe gains.
         """
         strength = np.maximum(self.match, 0) / np.maximum(self.power, 1e-300)[..., None]
         gain = (strength * np.maximum(self.match, 0)).sum(axis=2)
@@ -291,7 +290,7 @@ def lobes_of(data: TileSamples, sigma: np.ndarray) -> np.ndarray:
 def lambert(data: TileSamples, gloss: np.ndarray | float = 0.0) -> np.ndarray:
     """Fit K_d (points, channels) float32 to what gloss (points, slots, channels) leaves of the values.
 
-    Least squares weighted by cos(theta_r), Miyazaki et al. (2007), section 3.1.
+    Least squares with the samples' weights, Miyazaki et al. (2007), section 3.1.
     """
     weighted = data.weights * data.diffuse
     top = np.einsum("ps,psc->pc", weighted, data.values - gloss)

@@ -61,7 +61,7 @@ OBJECT_LIMITS = (
     ),
     Limit("once_share", "share of the texels that one observation shows", at("once_share")),
     Limit("filled_share", "share of the texels whose gloss is their neighbours'", at("filled_share")),
-    Limit("highlight_share", "share of the texels with a highlight of their own", at("highlight_share")),
+    Limit("highlight_share", "share of the texels that a view shows near the mirror direction", at("highlight_share")),
 )
 
 
@@ -75,7 +75,7 @@ class ObjectBrdfSettings(Guarded, stage="object_brdf", version=8, limits=OBJECT_
         "over the normal whatever the capture states",
     )
     components: Literal["auto", "total"] = Field(
-        "auto", description="where polarisation separated them, auto: sigma from the specular part; total: not used"
+        "auto", description="where polarisation separated them, auto: the gloss from the specular part; total: not used"
     )
     specular: Literal["auto", "keep", "drop"] = Field(
         "auto", description="auto: Lambert alone where a sample of texels shows no gloss (docs/notes/economy.md)"
@@ -93,7 +93,12 @@ OBJECT_OUTPUTS = (  # (tile, row, column[, channel])
     Output("kd", "float32", "relative to white", "strength of the diffuse light in each channel"),
     Output("ks", "float32", "relative to white", "strength of the gloss in each channel"),
     Output("sigma", "float32", "radians", "width of the gloss"),
-    Output("flags", "uint8", "bits", "1 outside of the chart, 2 never seen, 4 seen once, 8 sigma, 16 ks of neighbours"),
+    Output(
+        "flags",
+        "uint8",
+        "bits",
+        "1 outside of the chart, 2 never seen, 4 once, 8 never near a highlight, 16 gloss of neighbours",
+    ),
 )
 
 

@@ -329,9 +329,9 @@ MODEL = (
     ("texels", "texels", 1),
     ("visible samples", "samples", 1),
     ("model alone over these, dB", "psnr_db", 1),
-    ("texels where a highlight was observed, %", "highlight_share", 100),
+    ("texels that a view shows near the mirror direction, %", "highlight_share", 100),
     ("median width of a highlight, degrees", "median_sigma", 180 / np.pi),
-    ("texels whose strength of the highlight is that of neighbours, %", "filled_share", 100),
+    ("texels whose highlight is that of neighbours, %", "filled_share", 100),
     ("texels as which the neighbours of a texel count for its highlight", "pull", 1),
     ("texels that no view shows, with everything of neighbours, %", "unseen_share", 100),
 )
