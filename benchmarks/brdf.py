@@ -22,6 +22,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "scripts"))
 sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "tests"))
 sys.path.insert(2, str(Path(__file__).resolve().parents[1] / "workflow/src"))
+from point_fits import fit_torrance_sparrow
 from published_fits import fit_brightest_light, fit_points, histogram_of, point_problem
 from reflectance_table import (
     chosen_by_incidences,
@@ -32,7 +33,6 @@ from reflectance_table import (
 )
 
 import _project  # noqa: F401
-from nishiki.brdf.fit import fit_torrance_sparrow
 from nishiki.brdf.gloss_profile import fit_gloss
 from nishiki.brdf.torrance_sparrow import attenuation, fresnel, half_vector_geometry, specular
 

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
+import point_fits as vp
 
-from nishiki.brdf import fit as vp
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularHistogram, specular_samples
 from nishiki.brdf.torrance_sparrow import attenuation, body_factor, half_vector_geometry
 
@@ -100,7 +100,7 @@ def point_problem(phi, amplitude, attenuation, diffuse, root_weights):
 
 
 def fit_points(phi, amplitude, attenuation, diffuse, weights, strengths, reports, *, analytic=True):
-    """`variable_projection.project_points` by scipy, one point after the other; writes the same outputs."""
+    """`point_fits.project_points` by scipy, one point after the other; writes the same outputs."""
     from scipy.optimize import least_squares
 
     for p in range(amplitude.shape[0]):

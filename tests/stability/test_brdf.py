@@ -6,11 +6,11 @@ import mpmath
 import numpy as np
 from compiled_lobe import specular_scalar
 from hypothesis import strategies as st
+from point_fits import FitFlag, fit_torrance_sparrow
 from published_fits import fit_lobe
 from stability.cases import case, powers_of_ten, relative, worst_over
 from stability.samples import EXTREME, dome, tilted
 
-from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
 from nishiki.brdf.gloss_profile import SpecularHistogram, fit_gloss
 from nishiki.brdf.torrance_sparrow import facet_distribution, fresnel, masking_over_cos_r, specular
 from nishiki.photometric.gloss import GlossTile

@@ -1,14 +1,14 @@
 """Fits at many points: against slow references, from data of the model itself, and where nothing can be fitted."""
 
 import numpy as np
+import point_fits as vp
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from point_fits import FitFlag, fit_torrance_sparrow
 from published_fits import fit_lobe, fit_points
 from scipy.optimize import minimize_scalar, nnls
 
-from nishiki.brdf import fit as vp
-from nishiki.brdf.fit import FitFlag, fit_torrance_sparrow
 from nishiki.errors import UserError
 
 OBSERVATIONS, CHANNELS = 36, 3

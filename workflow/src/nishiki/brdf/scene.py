@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from nishiki.brdf.fit import GAMMA_BOUNDS
 from nishiki.brdf.gloss_profile import GlossProfile, SpecularProfile
 
+GAMMA_BOUNDS = (1e-3, 1.6)  # radians, half widths
 NO_GLOSS = "no gloss: Lambert"
 
 

@@ -222,8 +222,7 @@ class LobeProfile:
 
     With s the part of a lobe that K_d cannot explain and y the values: power (points, widths) sum w s^2, match (points,
     widths, channels) sum w s y. Profiles of several texels add up to that of a lobe that they share, whatever their
-    K_d (G. H. Golub, V. Pereyra, The differentiation of pseudo-inverses and nonlinear least squares problems whose
-    variables separate, SIAM Journal on Numerical Analysis 10, 1973).
+    K_d (G. Golub, V. Pereyra, Separable nonlinear least squares, Inverse Problems 19, 2003).
     """
 
     power: np.ndarray

@@ -64,7 +64,7 @@ INTRODUCTION = (
 LINEAR = "Dots: measured, faint where few samples met; line: fitted."
 LOGARITHMIC = "The tails: what lies above the line here is gloss that the lobe lacks."
 FLAGS = {"AT_BOUND": "width at its bound", "NOT_CONVERGED": "not converged"}
-"""Descriptions of a fit's flags (`nishiki.brdf.fit`)."""
+"""Descriptions of a fit's flags in `parameters.json`."""
 
 
 def finishes_of(page: PaintingData) -> list[Block]:

@@ -20,6 +20,7 @@ from enum import IntFlag
 
 import numpy as np
 
+from nishiki.brdf.scene import GAMMA_BOUNDS
 from nishiki.errors import UserError
 
 
@@ -39,7 +40,6 @@ _TWO_LN2 = float(2.0 * np.log(2.0))
 # What is reported of a point, in this order
 GAMMA, CURVATURE, RSS, RSS_DIFFUSE, USED, NEAREST, LIT, SCALE = range(8)
 REPORT = SCALE + 1  # figures a point
-GAMMA_BOUNDS = (1e-3, 1.6)
 SIGNIFICANCE = 8.0  # F ratio that a lobe must reach; chance alone passes 6 for 1 in 1000 points of 36 x 3 observations
 UNDETERMINED_LOG_GAMMA = 0.5  # standard deviation, a factor of 1.6 either way
 
