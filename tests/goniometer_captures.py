@@ -31,11 +31,6 @@ def quarter_views(polar: int = 5, azimuth: int = 7, steepest: float = 75.0) -> l
     return [(float(t), float(p)) for t in thetas for p in (phis if t > 0 else phis[:1])]
 
 
-def unit_of_degrees(theta_deg, phi_deg) -> np.ndarray:
-    """Unit vectors (..., 3) of polar angles and azimuths in degrees."""
-    return unit(np.radians(theta_deg), np.radians(phi_deg))
-
-
 def directions(angles_deg) -> tuple[np.ndarray, np.ndarray]:
     """Incident and outgoing (n, 3) of rows theta_i, phi_i, theta_r, phi_r in degrees."""
     a = np.radians(np.asarray(angles_deg, np.float64))

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numba
 import numpy as np
 import pytest
-from goniometer_captures import unit_of_degrees as unit
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from refusals import refused
@@ -23,7 +22,7 @@ from nishiki.simulate.cloth.geometry import (
 )
 from nishiki.simulate.cloth.points import turned_frame
 from nishiki.simulate.cloth.reflectance import make_cloth, trace, trace_reach
-from nishiki.simulate.cloth.settings import hemisphere_views, make_settings, quarter_views, session
+from nishiki.simulate.cloth.settings import hemisphere_views, make_settings, quarter_views, session, unit
 from nishiki.simulate.reflection import body, fresnel, in_frame, reflect_filament
 
 QUALITY = {"candidates": 30_000, "chains": 12_000}

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 import pytest
 from capture_facts import goniometer_facts
-from goniometer_captures import unit_of_degrees as unit
 from refusals import refused
 
 from nishiki.capture.folder import load_capture
@@ -17,7 +16,7 @@ from nishiki.simulate import command as simulate
 from nishiki.simulate.capture import CameraSettings
 from nishiki.simulate.cloth.photographs import TINT, photographs, region_labels, white_board
 from nishiki.simulate.cloth.reflectance import blocks, cell_maps, make_cloth
-from nishiki.simulate.cloth.settings import make_settings, preset, quarter_views, session
+from nishiki.simulate.cloth.settings import make_settings, preset, quarter_views, session, unit
 
 QUALITY = {"candidates": 6_000, "chains": 2_000}
 

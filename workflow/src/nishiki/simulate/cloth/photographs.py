@@ -10,7 +10,6 @@ import numba
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.goniometry.directions import unit
 from nishiki.simulate.capture import (
     DARK_FRAMES,
     CameraSettings,
@@ -24,7 +23,7 @@ from nishiki.simulate.capture import (
 )
 from nishiki.simulate.cloth.points import R2
 from nishiki.simulate.cloth.reflectance import SimulatedCloth, blocks, cell_maps, make_cloth
-from nishiki.simulate.cloth.settings import PRESETS, GoniometerSettings, preset
+from nishiki.simulate.cloth.settings import PRESETS, GoniometerSettings, preset, unit
 from nishiki.simulate.randomness import subkey, uniform
 from nishiki.threads import over_rows
 
@@ -52,7 +51,7 @@ class SimulatedShot:
 def photographs(cloths: tuple[SimulatedCloth, ...], settings: GoniometerSettings) -> Iterator[SimulatedShot]:
     """Yield all photographs of the session, not in its order: those that share their rays come together."""
     angles = settings.angles_deg
-    incident, outgoing = (unit(*np.radians(each).T) for each in (angles[:, :2], angles[:, 2:]))
+    incident, outgoing = unit(angles[:, 0], angles[:, 1]), unit(angles[:, 2], angles[:, 3])
     for parts in zip(*(blocks(cloth, incident, outgoing) for cloth in cloths), strict=True):
         maps = [cell_maps(cloth, *part[1:]) for cloth, part in zip(cloths, parts, strict=True)]
         for k, row in enumerate(parts[0][0]):
@@ -71,7 +70,7 @@ def on_sensor(cells: list[np.ndarray], cloths, angles_deg: np.ndarray, settings:
     The warp points upwards as far as it can. Of two cloths the first lies on the left, the second on the right of the
     middle.
     """
-    view = unit(*np.radians(angles_deg[2:]))
+    view = unit(angles_deg[2], angles_deg[3])
     up = np.array([0.0, 1.0, 0.0]) - view[1] * view
     up /= np.linalg.norm(up)
     right = np.cross(up, view)

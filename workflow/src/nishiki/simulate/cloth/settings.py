@@ -69,6 +69,12 @@ OBLIQUE_DEG = (15.0, 30.0, 45.0, 60.0, 75.0)
 AZIMUTHS_DEG = (0.0, 45.0, 90.0)  # of the lamp: weft, bias, warp
 
 
+def unit(theta_deg, phi_deg) -> np.ndarray:
+    """Compute unit vectors (..., 3) from polar angle and azimuth in degrees; exact on the axes and in the plane."""
+    theta, phi = np.radians(np.asarray(theta_deg, float)), np.radians(np.asarray(phi_deg, float))
+    return np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta) + 0.0 * phi], axis=-1)
+
+
 def quarter_views(polar_step: float = 3.0, azimuth_step: float = 5.0) -> np.ndarray:
     """List views (n, 2) under normal incidence in the quarter between weft and warp: polar angle, azimuth in degrees.
 
