@@ -224,7 +224,7 @@ def test_impossible_settings_are_refused(make):
 
 
 def test_nothing_is_imported_from_the_fitted_models():
-    """The simulator must not share code with what it judges. Rays, colour, folders, headings and the seal are none."""
+    """The simulator must not share code with what it judges; rays, colour, folders and the seal are no models."""
     folder = Path(nishiki.simulate.__file__).parent
     common = (
         "nishiki.simulate",
@@ -232,7 +232,6 @@ def test_nothing_is_imported_from_the_fitted_models():
         "nishiki.threads",
         "nishiki.installation",
         "nishiki.colour.colour",
-        "nishiki.formats.mesh_heading",
         "nishiki.geometry.visibility",
     )
     for file in folder.rglob("*.py"):

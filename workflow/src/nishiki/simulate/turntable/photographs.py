@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.formats.mesh_heading import faces, ply_heading
 from nishiki.simulate.capture import (
     BOARD_REFLECTANCE,
     DARK_FRAMES,
@@ -195,9 +194,14 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
     if options.mesh == "scan":
         surface = make_surface(settings.scan_triangles) if settings.scan_triangles else scene.surface
         points, triangles = scan(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed)
-        properties, comments = [f"float {axis}" for axis in "xyz"], ["simulated scan, millimetres"]
-        text = ply_heading(len(points), len(triangles), properties, comments).encode("ascii")
-        values = np.ascontiguousarray(points, "<f4").tobytes() + faces(triangles)
+        text = (
+            "ply\nformat binary_little_endian 1.0\ncomment simulated scan, millimetres\n"
+            f"element vertex {len(points)}\nproperty float x\nproperty float y\nproperty float z\n"
+            f"element face {len(triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
+        ).encode("ascii")
+        corners = np.empty(len(triangles), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
+        corners["count"], corners["corners"] = 3, triangles
+        values = np.ascontiguousarray(points, "<f4").tobytes() + corners.tobytes()
         (capture / "object.ply").write_bytes(text + values)
     write_description(
         capture,
