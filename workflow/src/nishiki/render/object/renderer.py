@@ -36,6 +36,7 @@ from nishiki.observations.views import Views, largest_value
 from nishiki.render.display import develop
 from nishiki.render.object.pixels import DepthMaps, bilinear, extend, mix
 from nishiki.render.object.shots import (
+    LENDERS,
     DecodedTile,
     FreeLighting,
     LampsInView,
@@ -51,7 +52,7 @@ from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 
 OTHER_LIGHT = np.float32(0.02)  # weight of a view in which a texel is in the light and here is not, or the other way
-MOST_PLACES = 1 << 14  # in one look-up by OpenCV, which takes fewer than 2**15
+MOST_PLACES, MOST_BANDS = 1 << 14, 4  # in one look-up by OpenCV, which takes fewer than 2**15 and at most 4
 FOLD_PX = 12
 """Pixels by which a picture is carried over places turned away from the camera: folds of a hull, and steps that it has
 in place of a hollow's rim. No photograph shows them, and the model is black there."""
@@ -162,7 +163,7 @@ class ObjectRenderer:
         self.own_lamps, self.lit = own_lamps is not None, LitObject(mesh, own_lamps or FreeLighting(()))
         self.model_only, self.rim = model_only or self.own_lamps, rim
         self.pictures = None if self.model_only or level else decoded.residual.pictures
-        self._lenders: dict[tuple[int, int], tuple[np.ndarray, np.ndarray]] = {}  # of the batch, by view and light
+        self._lenders: dict[tuple[int, int], tuple[list, np.ndarray]] = {}  # of the batch, by view and light
         self.threads = given_threads()
         self.depths = DepthMaps(mesh)
         self._cache: OrderedDict[int, DecodedTile] = OrderedDict()
@@ -222,14 +223,14 @@ class ObjectRenderer:
         if not self.model_only:
             shots = [prepared.shot for prepared in batch if self._blends(prepared.shot)]
             self.depths.prepare([self.cameras[view] for shot in shots for view in shot.views.views])
-            if self.pictures is not None and shots:
-                keys = {(int(view), light) for shot in shots for view in shot.views.views for light, _ in shot.lights}
+            keys = {(int(view), light) for shot in shots for view in shot.views.views for light, _ in shot.lights}
+            if self.pictures is not None:
                 self._lenders = {
                     key: self._lenders.get(key) or self._decode_picture(self.pictures, *key) for key in sorted(keys)
                 }
-                for flat in self._cache.values():
-                    for key in flat.lent.keys() - keys:
-                        del flat.lent[key]
+            for flat in self._cache.values():
+                for key in flat.lent.keys() - keys:
+                    del flat.lent[key]
         tiles = sorted({tile for prepared in batch for tile in prepared.slots})
         over_items(lambda tile: self._draw(tile, batch), tiles, self.threads)
         while batch:
@@ -247,19 +248,18 @@ class ObjectRenderer:
             if slot is not None:
                 order = prepared.order[prepared.first[slot] : prepared.first[slot + 1]]
                 drawn.append((prepared, order, *bilinear(prepared.s[order], prepared.t[order], self.atlas.size)))
-        wanted = np.unique(np.concatenate([chosen for _, _, chosen, _, _ in drawn]))
         for prepared, order, chosen, place, weights in drawn:
             for k in range(len(prepared.lamps)):
-                texels = self._texels(prepared, k, flat, (chosen, wanted))
+                texels = self._texels(prepared, k, flat, chosen)
                 prepared.values[k, order] = np.einsum("kn,knc->nc", weights, texels[place])
-        flat.lent.clear()  # it belongs to this batch, and the cache does not count it
+        if self._dropped or len(flat.lent) > LENDERS:
+            flat.lent.clear()
 
-    def _texels(self, prepared: Prepared, place: int, flat: DecodedTile, texels: tuple) -> np.ndarray:
+    def _texels(self, prepared: Prepared, place: int, flat: DecodedTile, chosen: np.ndarray) -> np.ndarray:
         """Compute (m, channels) float32: chosen texels of a tile for this camera under one lamp, encoded.
 
-        place: of the light among those of the shot; texels: chosen (m,), and those of all pictures of the batch.
+        place: of the light among those of the shot.
         """
-        chosen = texels[0]
         shot, lamp, light = prepared.shot, prepared.lamps[place], prepared.shot.lights[place][0]
         if isinstance(lamp, LampsInView):
             kd, ks, sigma = (values[chosen] for values in flat.parameters)
@@ -267,26 +267,26 @@ class ObjectRenderer:
             return encode(diffuse + gloss, self.encoding)
         coded, views = self._evaluate_model(flat, chosen, shot.camera, lamp), shot.views
         if not self.model_only and self._blends(shot):
-            return self._add_lent(coded, (lamp, light), flat, texels, views)
+            return self._add_lent(coded, (lamp, light), flat, chosen, views)
         if self.model_only or flat.residual is None:
             return coded
         return coded + flat.residual.look_up(light * len(self.cameras) + int(views.views[0]), chosen)
 
-    def _evaluate_model(self, flat: DecodedTile, chosen: np.ndarray, camera: Camera, lamp) -> np.ndarray:
+    def _evaluate_model(self, flat: DecodedTile, chosen: np.ndarray | slice, camera: Camera, lamp) -> np.ndarray:
         """Evaluate the model (m, channels) float32 at chosen texels of a tile, encoded."""
         kd, ks, sigma = (values[chosen] for values in flat.parameters)
         diffuse, gloss = predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen], camera.centre, lamp)
         return encode(diffuse + gloss, self.encoding)
 
-    def _add_lent(self, coded: np.ndarray, of: tuple, flat: DecodedTile, texels: tuple, shown: Neighbours):
+    def _add_lent(self, coded: np.ndarray, of: tuple, flat: DecodedTile, chosen: np.ndarray, shown: Neighbours):
         """Add to the model of texels (m, channels), in its cast shadows, what views differ from it.
 
-        of: the lamp and the light's number; texels: as of `_texels`.  A view in which the lamp sees a texel lends
-        little to a picture where it does not, and the other way round.
+        of: the lamp and the light's number.  A view in which the lamp sees a texel lends little to a picture where it
+        does not, and the other way round.
         """
-        (lamp, light), (chosen, wanted), weights = of, texels, shown.weights.astype(np.float32)
+        (lamp, light), weights = of, shown.weights.astype(np.float32)
         lit = self._find_lit(lamp, flat.positions[chosen], flat.normals[chosen])
-        lent = np.stack([self._lend((int(view), light), flat, wanted)[chosen] for view in shown.views])
+        lent = np.stack([self._lend((int(view), light), flat)[chosen] for view in shown.views])
         seen = lent[..., 1] * np.where(lent[..., 0] == lit, np.float32(1), OTHER_LIGHT)
         coded, mixed = coded * lit[:, None], mix(lent[..., 2:], seen, weights)
         if self.pictures is None:  # texels that no view sees were solved for too
@@ -294,38 +294,32 @@ class ObjectRenderer:
         total = (weights[:, None] * seen).sum(axis=0)
         return coded + np.where(total > 1e-6, 1, 0)[:, None] * mixed
 
-    def _lend(self, key: tuple[int, int], flat: DecodedTile, wanted: np.ndarray) -> np.ndarray:
-        """Return (T * T, 2 + channels) float32 in a view and light: lit, how well seen, view minus shadowed model.
-
-        Texels are computed when they are wanted first, once for all pictures that the view lends to; NaN before.
-        """
+    def _lend(self, key: tuple[int, int], flat: DecodedTile) -> np.ndarray:
+        """Return (T * T, 2 + channels) float32 in a view and light: lit, how well seen, view minus shadowed model."""
         import cv2
 
-        if key not in flat.lent:
-            flat.lent[key] = np.full((len(flat.positions), 2 + self.channels), np.nan, np.float32)
-        held, (view, light) = flat.lent[key], key
-        new = wanted[np.isnan(held[wanted, 0])]
-        if not len(new):
-            return held
-        positions, normals, camera = flat.positions[new], flat.normals[new], self.cameras[view]
+        if key in flat.lent:
+            return flat.lent[key]
+        (view, light), positions, normals = key, flat.positions, flat.normals
+        camera = self.cameras[view]
         lamp = self.lighting.lamp(camera, light)
         lit, seen = self._find_lit(lamp, positions, normals), self.depths.visible(positions, normals, camera)
-        model = self._evaluate_model(flat, new, camera, lamp)
+        model = self._evaluate_model(flat, slice(None), camera, lamp)
         lent = -model * lit[:, None]
         if self.pictures is None:
             lent += model
             if flat.residual is not None:
-                lent += flat.residual.look_up(light * len(self.cameras) + view, new)
+                lent += flat.residual.look_up(light * len(self.cameras) + view, np.arange(len(positions)))
         else:
             (picture, bare), places = self._lenders[key], camera.project(positions)[0].astype(np.float32)[:, None]
             for first in range(0, len(places), MOST_PLACES):
                 some = slice(first, first + MOST_PLACES)
-                for band, values in enumerate(picture):
+                for k, values in enumerate(picture):
                     shown = cv2.remap(values, places[some], None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
-                    lent[some, band] += shown[:, 0]
+                    lent[some, MOST_BANDS * k : MOST_BANDS * (k + 1)] += shown.reshape(len(shown), -1)
                 seen[some][cv2.remap(bare, places[some], None, cv2.INTER_NEAREST)[:, 0] > 0] = 0
-        held[new] = np.column_stack([lit, seen, lent])
-        return held
+        flat.lent[key] = np.column_stack([lit, seen, lent])
+        return flat.lent[key]
 
     def _find_lit(self, lamp: ViewLamp, positions: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Compute (m,) float32: 1 at points lit by a lamp, 0 in its cast shadow; fitted lighting has no shadows."""
@@ -333,13 +327,13 @@ class ObjectRenderer:
             return np.ones(len(positions), np.float32)
         return self.lit.visible(lamp.vector, lamp.vector[None], positions, normals, near=lamp.form == POINT)
 
-    def _decode_picture(self, pictures: CodedReader, view: int, light: int) -> tuple[np.ndarray, np.ndarray]:
-        """Decode a view's picture (channels, rows, columns), and where outline and surface differ (uint8)."""
+    def _decode_picture(self, pictures: CodedReader, view: int, light: int) -> tuple[list[np.ndarray], np.ndarray]:
+        """Decode a view's picture, MOST_BANDS (rows, columns, n) at a time, and where outline and surface differ."""
         shape = self.cameras[view].rows, self.cameras[view].columns
         found = decode_picture(pictures, view, light, shape)
-        if found is None:
-            return np.zeros((self.channels, *shape), np.float32), np.ones(shape, np.uint8)
-        return np.ascontiguousarray(np.moveaxis(found[0], -1, 0)), found[1].astype(np.uint8)
+        values, strayed = found or (np.zeros((*shape, self.channels), np.float32), np.ones(shape, bool))
+        bands = [values[..., first : first + MOST_BANDS] for first in range(0, self.channels, MOST_BANDS)]
+        return [np.ascontiguousarray(each) for each in bands], strayed.astype(np.uint8)
 
     def _tile(self, tile: int) -> DecodedTile:
         """Return a tile's decoded parameters and residual and its geometry; cache the most recent ones."""

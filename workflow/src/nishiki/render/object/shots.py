@@ -106,11 +106,14 @@ class Prepared:
     values: np.ndarray = field(init=False)  # (lights, pixels, channels): in the capture's encoding
 
 
+LENDERS = 3  # views that lend to pictures which follow one another
+
+
 @dataclass(frozen=True)
 class DecodedTile:
     """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places (T * T, 3), residual or None.
 
-    lent: by view and light, what pictures of the batch lend (T * T, 2 + channels), NaN where it is not known yet.
+    lent: by view and light, what views lend to the latest pictures, (T * T, 2 + channels) float32.
     """
 
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -121,9 +124,10 @@ class DecodedTile:
 
     @property
     def nbytes(self) -> int:
-        """Size of the arrays."""
+        """Size of the arrays, those of `lent` of LENDERS views under one light included."""
         arrays = (*self.parameters, self.positions, self.normals)
-        return sum(values.nbytes for values in arrays) + (self.residual.nbytes if self.residual else 0)
+        lent = LENDERS * (self.parameters[0].nbytes + 2 * self.parameters[2].nbytes)
+        return sum(values.nbytes for values in arrays) + (self.residual.nbytes if self.residual else 0) + lent
 
 
 LIFT = 0.25
