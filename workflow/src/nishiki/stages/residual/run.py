@@ -12,6 +12,7 @@ from nishiki.atlas.store import Texels
 from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.brdf.texels.parameters import ParameterMaps
 from nishiki.codec.allocate import (
+    LARGEST_DB,
     SLOPE,
     EncodedObject,
     Pilot,
@@ -43,6 +44,7 @@ from nishiki.threads import threads
 
 SAMPLE_TILES = 24  # that decide whether the model suffices
 SEARCH_TILES = 16  # on which the step is sought before the first pass over all
+SEARCH_TOLERANCE = 0.05  # of the logarithm of the bytes; samples of that size miss it by a tenth
 SEARCH_SHARE = 0.25  # of the tiles: with fewer in all, a search on some saves nothing
 FIRST_STEP = 0.08  # of the quantiser, from which the search sets out
 PARAMETER_SHARE = 1.2  # parameter steps against those of equal effect on pictures
@@ -51,7 +53,7 @@ COARSER = 5
 SEARCH_VIEWS = 6  # on which the step of pictures is sought
 UNSURE_DB = 1.0  # of the quality found on them
 LATER_DB = 0.5  # that passes after the first add at most at equal bytes; .2 to .4 were measured
-SHORT = 0.05  # logarithm of the bytes that a pass may lack to be judged by its decibels
+BYTES_DB = 3.5  # that a factor e of the bytes adds; 3.0 to 4.3 were measured
 RIM = 2  # pixels by which pictures of the surface are carried on
 DECIBELS = 20 / math.log(10)  # of a factor e in amplitude
 
@@ -116,24 +118,25 @@ def run(context: Context) -> dict:
             parts, sums = zip(*(strayed_parts(mesh, *view, photographed) for view in enumerate(cameras)), strict=True)
             strayed, missed = pack_strayed(parts), np.sum(sums, axis=0)
             expected = rate_over_outlines(expected, missed)
+            most = rate_over_outlines(LARGEST_DB, missed) if expected is None else expected
             coarse, room = run_pass(COARSER * start, spent=parameters_alone), math.exp(goal) - sum(map(len, strayed))
             pictures = code_pictures(
                 (photographed, scene, design, effort), settings, start, room - coarse.bytes, expected
             )
         encoded, alike = coarse, expected  # decibels of texels of as many bytes
-        if pictures is None or expected is None or point_of(pictures).psnr_db < expected + UNSURE_DB:
+        if pictures is None or point_of(pictures).psnr_db < most + UNSURE_DB:
 
             def rate(point: RatePoint) -> float:
-                return rate_over_outlines(point.psnr_db, missed) if photographed is not None else point.psnr_db
+                """Estimate the decibels over the outlines at the target's bytes."""
+                return rate_over_outlines(point.psnr_db, missed) - BYTES_DB * miss(point)
 
             def compete(point: RatePoint) -> bool:
-                near = pictures is None or rate(point) > point_of(pictures).psnr_db - LATER_DB
-                return near or miss(point) < -SHORT
+                return pictures is None or rate(point) > point_of(pictures).psnr_db - LATER_DB
 
             found = {"start": start, "slope": slope, "passes": settings.passes}
             encoded = find_step(run_pass, miss, compete=compete, **found)
-            alike = rate(point_of(encoded))
-            if pictures is not None and point_of(pictures).psnr_db > alike:
+            alike = None if pictures is None else rate(point_of(encoded))
+            if alike is not None and point_of(pictures).psnr_db > alike:
                 encoded, alike = coarse, max(alike, expected or 0)  # a first pass is not all that texels reach
             else:
                 pictures = None
@@ -315,7 +318,7 @@ def search_step(run_pass, miss, piloted: Pilot, count: int, effort: tuple[float,
     (start, passes), tiles = effort, piloted.sample(count)
     sampled = find_step(
         lambda step, earlier: run_pass(step, earlier, tiles), miss, start=start, passes=passes,
-        share=len(tiles) / count_seen(piloted),
+        tolerance=SEARCH_TOLERANCE, share=len(tiles) / count_seen(piloted),
     )  # fmt: skip
     slope = slope_of([point.step for point in sampled.curve], [miss(point) for point in sampled.curve])
     return sampled.design.step, slope, point_of(sampled).psnr_db
