@@ -16,6 +16,8 @@ from nishiki.small_matrices import solve_by_cofactors
 JIT = {"cache": True, "nogil": True, "error_model": "numpy"}
 STIFF = 1e-6
 """Share of a plane's own quadric that pulls a corner towards where it was: settles flat places."""
+PRODUCTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (0, 3), (1, 3), (2, 3), (3, 3))
+"""Coefficients of a plane n . (x - point) whose products make a quadric: xx xy xz yy yz zz, x y z, constant."""
 
 
 @njit(**JIT)
@@ -116,8 +118,9 @@ def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray
     """
     count, nodes = len(vertices), faces.ravel()
     ends = np.stack([nodes, np.roll(faces, -1, axis=1).ravel()], axis=1)
-    _, edge, uses = np.unique(ends.min(axis=1) * count + ends.max(axis=1), return_inverse=True, return_counts=True)
+    edge, uses = np.unique(ends.min(axis=1) * count + ends.max(axis=1), return_inverse=True, return_counts=True)[1:]
     is_open = uses[edge] == 1
+    del edge, uses
     # quadrics of the planes of all triangles, and of planes across open edges
     normals = face_vectors(vertices, faces)
     sizes = np.linalg.norm(normals, axis=1)
@@ -127,10 +130,13 @@ def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray
     lengths = np.linalg.norm(along, axis=1)
     across = np.cross(along, normals[borders // 3]) / np.where(lengths > 0, lengths, 1)[:, None]
     places, quadrics = np.concatenate([nodes, ends[borders].ravel()]), np.empty((count, 10))
-    planes = _quadrics(normals, vertices[faces[:, 0]], sizes / 6)
-    edges = _quadrics(across, vertices[ends[borders, 0]], lengths**2)
-    for number, parts in enumerate(zip(planes, edges, strict=True)):  # one by one, which bounds the memory
-        values = np.concatenate([np.repeat(part, corners) for part, corners in zip(parts, (3, 2), strict=True)])
+    values = np.empty(len(places))
+    blocks = values[: len(nodes)].reshape(-1, 3), values[len(nodes) :].reshape(-1, 2)
+    kinds = (normals, faces[:, 0], sizes / 6), (across, ends[borders, 0], lengths**2)
+    planes = [((*of.T, -(of * vertices[on]).sum(axis=1)), weights) for of, on, weights in kinds]
+    for number, (i, j) in enumerate(PRODUCTS):  # one by one, which bounds the memory
+        for block, (plane, weights) in zip(blocks, planes, strict=True):
+            block[:] = (weights * plane[i] * plane[j])[:, None]
         quadrics[:, number] = np.bincount(places, values, count)
     # the triangles at each vertex as linked lists, the last one first
     order = np.argsort(nodes, kind="stable")
@@ -139,12 +145,6 @@ def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray
     head[nodes[order]] = order
     following[order[1:][same]] = order[:-1][same]
     return _collapse(vertices, faces, target, quadrics, (head, following), ends[(ends[:, 0] < ends[:, 1]) | is_open])
-
-
-def _quadrics(normals: np.ndarray, points: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Compute weight (n . (x - point))^2 of planes (n,) as xx xy xz yy yz zz, x y z, constant: (10, n)."""
-    plane = np.concatenate([normals.T, -(normals * points).sum(axis=1)[None]])
-    return weights * plane[[0, 0, 0, 1, 1, 2, 0, 1, 2, 3]] * plane[[0, 1, 2, 1, 2, 2, 3, 3, 3, 3]]
 
 
 @njit(**JIT)

@@ -45,15 +45,18 @@ def row_numbers(rows: np.ndarray) -> np.ndarray:
     """Return the number (n,) of each row of an array (n, k) among its distinct rows, in their lexicographic order."""
     number = np.zeros(len(rows), np.int64)
     for column in rows.T:
-        place = np.unique(column, return_inverse=True)[1]
-        number = np.unique(number * len(rows) + place, return_inverse=True)[1]
+        whole = column.dtype.kind == "i"
+        place = column - column.min(initial=0) if whole else np.unique(column, return_inverse=True)[1]
+        number = np.unique(number * (place.max(initial=0) + np.int64(1)) + place, return_inverse=True)[1]
     return number
 
 
 def face_vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Compute normals (f, 3) float64 of the triangles, their lengths twice the areas."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
+    first, *others = (vertices[triangles[:, k]] for k in range(3))
+    for other in others:
+        other -= first
+    return np.cross(*others)
 
 
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:

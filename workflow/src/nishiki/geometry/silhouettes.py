@@ -17,10 +17,11 @@ def nearest_colour(lab, centres, inverses, lowest, out):
     factor that fits best.
     """
     for centre, inverse, least in zip(centres, inverses, lowest, strict=True):
-        root = np.linalg.cholesky(inverse)
-        colours, middle = lab @ root, centre @ root
-        scale = np.clip(colours @ middle / (middle @ middle), least, 1.0)
-        np.minimum(out, np.linalg.norm(colours - scale[:, None] * middle, axis=1), out=out)
+        root = np.linalg.cholesky(inverse).astype(np.float32)
+        colours, middle = lab @ root, np.float32(centre) @ root
+        scale = np.clip(colours @ middle / (middle @ middle), np.float32(least), np.float32(1))
+        colours -= scale[:, None] * middle
+        np.minimum(out, np.sqrt(np.einsum("nk,nk->n", colours, colours)), out=out)
 
 
 BORDER = 0.06

@@ -48,6 +48,7 @@ def run(context: Context) -> dict:
         hull = carve(keep_usable(masks, used), cameras, cells=settings.cells)
         mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
         diagnostics["hull"] = {"cell": hull.cell, "shape": hull.shape, "box": hull.box.tolist()}
+        del hull  # a mesh as large as the whole one
     else:
         read = read_file if source == "file" else merge_scans
         vertices, triangles, diagnostics[source] = read(context, views, cameras, document["mirror"])
