@@ -62,6 +62,8 @@ def given_texts(function: ast.AST) -> dict[str, list[str]]:
             names, values = re.findall(r"\w+", " ".join(texts(node.args[0]))), node.args[1]
         else:
             continue
+        if isinstance(values, ast.Call) and isinstance(getattr(values.func, "value", None), ast.Dict):
+            values = ast.List(values.func.value.values)  # {name of a case: case}.values()
         for row in getattr(values, "elts", [values]):
             cells = row.args if isinstance(row, ast.Call) else getattr(row, "elts", [])
             pairs = zip(names, cells, strict=False) if len(cells) >= len(names) > 1 else [(n, row) for n in names]

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import yaml
 
+TITLE = "Test plane"
 RING = [(0.0, 0.0, 1.0), *((0.7 * np.cos(a), 0.7 * np.sin(a), 0.714) for a in np.linspace(0, 2 * np.pi, 5)[:-1])]
 CHANNELS = ("red", "green", "blue")
 
@@ -61,7 +62,7 @@ def make_capture(
     (folder / "lights.lp").write_text(f"{len(lights)}\n" + "\n".join(lines) + "\n")
     settings = {
         "format": 1,
-        "title": "Test plane",
+        "title": TITLE,
         "geometry": "plane",
         "camera": {"channels": list(channels), "encoding": "linear", "bits": bits, "saturation": 0.98},
         "lights": {"file": "lights.lp", "kind": "direction"},

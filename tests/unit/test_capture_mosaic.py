@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from captures import CHANNELS, RING, make_capture, write_frame
+from captures import CHANNELS, RING, TITLE, make_capture, write_frame
 from relightable_images import rgb_file, write_relight
 
 from nishiki.capture.convert import convert
@@ -35,7 +35,7 @@ def test_fields_are_read_with_their_captures_and_positions(tmp_path):
     assert isinstance(capture, MosaicCapture)
     assert [(field.name, field.position_mm) for field in capture.fields] == [("a1", (0, 0)), ("a2", None)]
     assert [len(each.observed) for each in capture.captures] == [5, 5]
-    assert (capture.geometry, capture.sealed, capture.settings.title) == ("mosaic", False, "Test plane")
+    assert (capture.geometry, capture.sealed, capture.settings.title) == ("mosaic", False, TITLE)
 
 
 @pytest.mark.parametrize(

@@ -293,12 +293,19 @@ def test_scene_colour_from_spectra_equals_that_of_the_spectra():
         (4.01, 9.0, "2 stars", "B"),
         (6.4, 40.0, "1 star", "none"),
         (7.0, 8.0, "none", "none"),
-        (None, None, "not measured", "not measured"),
     ],
 )
 def test_levels_at_their_limits(mean, p90, fadgi, iso):
     parts = [{"de00": {"mean": mean, "p90": p90}, "lights": []}]
     assert stated_levels(parts) == {"fadgi": fadgi, "iso_19264": iso}
+
+
+@pytest.mark.parametrize("parts", [[], [{"de00": {"mean": None, "p90": None}, "lights": []}]])
+def test_without_a_measurement_no_level_is_stated_and_none_is_missed(parts):
+    stated = stated_levels(parts)
+    assert stated.keys() == {"fadgi", "iso_19264"}
+    assert not {level.name for level in (*FADGI, *ISO_19264)} & set(stated.values())
+    assert "none" not in stated.values()
 
 
 def test_levels_never_improve_with_the_error():

@@ -9,6 +9,8 @@ import time
 import pytest
 import yaml
 
+from nishiki.sweep.variants import AS_CONFIGURED
+
 pytestmark = pytest.mark.slow
 
 SWEEP = {
@@ -70,7 +72,7 @@ def test_an_interrupted_sweep_continues_and_tells_error_against_time(site):
     content = json.loads((site.folder / "results/sweeps/methods/sweep.json").read_text())
     (scene,) = content["scenes"]
     rows = {row["name"]: row for row in scene["rows"]}
-    assert set(rows) == {"as configured", "paper", "wiener"}
+    assert set(rows) == {AS_CONFIGURED, "paper", "wiener"}
     assert scene["counted"] == ["spectra"]
     for row in rows.values():
         evaluation = json.loads(evaluation_of(site, row).read_text())["diagnostics"]
