@@ -15,8 +15,11 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from _project import use_kernel_cache
+from nishiki.threads import ALONE
 
 use_kernel_cache()
+for name, value in ALONE.items():  # for the workers, too, beside which threads of OpenBLAS would wait busily
+    os.environ.setdefault(name, value)
 # The same cases at every run, so that a failure belongs to a change; HYPOTHESIS_PROFILE=search draws new ones.
 # No test fails because the machine is busy, or because its first case compiles a kernel.
 PATIENT = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
