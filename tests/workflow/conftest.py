@@ -1,13 +1,17 @@
 """Small scenes run through the workflow in a copy of the project, so that code can be edited without harm."""
 
+import io
 import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
+from contextlib import chdir, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Thread
 
 import pytest
 import yaml
@@ -50,6 +54,15 @@ class Site:
         assert not check or done.returncode == 0, done.stdout + done.stderr
         return done
 
+    def ask(self, *arguments: str) -> str:
+        """Call the command line inside this process, for questions about a configuration; what it prints."""
+        from nishiki.cli import main
+
+        with chdir(self.folder), redirect_stdout(io.StringIO()) as printed, pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        assert not ended.value.code, printed.getvalue()
+        return printed.getvalue()
+
     def start(self, *arguments: str) -> subprocess.Popen:
         """Start the command line inside the copy, in a process group of its own; run.log receives what it prints.
 
@@ -77,6 +90,11 @@ class Site:
         row = "tiny\tcaptures/tiny\tcaptures/tiny-truth\n"
         (self.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\n" + row)
         self.configure()
+
+    def planned(self) -> list[str]:
+        """Stages that a run would make now, in the order of the flow, as the plan tells; but for the publication."""
+        plans = map(json.loads, self.ask("plan", "--json").splitlines())
+        return [each["stage"] for plan in plans for each in plan["stages"] if each["state"] == "run"]
 
     def would_run(self) -> list[str]:
         """Stages that a run would make now, in the order of the flow, as Snakemake sees it."""
@@ -117,10 +135,10 @@ def new_site():
 
 
 def copied(folder: Path, geometry: str) -> Site:
-    """A copy of the project in `folder`."""
+    """A copy of the project in `folder`, with the bytecode that Python keeps; not what it is writing just now."""
     for name in COPIED:
         source = PROJECT / name
-        ignore = shutil.ignore_patterns("*.pyc")
+        ignore = shutil.ignore_patterns("*.pyc.*")
         shutil.copytree(source, folder / name, ignore=ignore) if source.is_dir() else shutil.copy2(
             source, folder / name
         )
@@ -196,15 +214,20 @@ LENT = ("workflow", "config", "results", ".snakemake")
 
 
 def put_back(finished_site: Site):
-    """Lend a finished scene, and undo what was done to its configuration, code and results: tests in any order."""
+    """Lend a finished scene, and undo what was done to its configuration, code and results: tests in any order.
+
+    A thread deletes what was lent, which takes seconds on a busy disk.
+    """
     saved = finished_site.folder / "saved"
     for name in LENT:
         shutil.copytree(finished_site.folder / name, saved / name, symlinks=True)
     yield finished_site
+    used = tempfile.mkdtemp(prefix="used-", dir=finished_site.folder)
     for name in LENT:
-        shutil.rmtree(finished_site.folder / name)
+        shutil.move(finished_site.folder / name, used)
         shutil.move(saved / name, finished_site.folder / name)
-    shutil.rmtree(saved)
+    saved.rmdir()
+    Thread(target=shutil.rmtree, args=(used,)).start()
 
 
 @pytest.fixture(scope="module")

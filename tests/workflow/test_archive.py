@@ -49,8 +49,6 @@ def test_a_killed_run_is_resumed_by_one_command_and_a_live_one_is_left_alone(sit
     done = site.nishiki("run")
     assert "resuming" in done.stderr
     assert not list((site.folder / "results/.runs").glob("*.json"))
-    assert site.would_run() == []
-    assert "sound" in site.nishiki("verify").stdout
     now = site.run_facts()
     changed = sorted(stage for stage in now if now[stage] != undisturbed[stage])
     assert "height" in changed

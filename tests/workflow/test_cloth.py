@@ -8,7 +8,7 @@ from loaded_and_read import WhatIsLoadedAndRead
 
 pytestmark = pytest.mark.slow
 
-AFTER_CLOTH_BRDF = ["cloth_render", "cloth_evaluate", "cloth_report", "publish"]
+AFTER_CLOTH_BRDF = ["cloth_render", "cloth_evaluate", "cloth_report"]
 
 
 class TestCloth(WhatIsLoadedAndRead):
@@ -37,18 +37,18 @@ def test_what_a_user_opens_is_there(cloth_site):
 
 def test_fewer_oblique_measurements_rerun_from_the_fit_on(cloth_site):
     cloth_site.configure(cloth_brdf={"oblique": 0})
-    assert cloth_site.would_run() == ["cloth_brdf", *AFTER_CLOTH_BRDF]
+    assert cloth_site.planned() == ["cloth_brdf", *AFTER_CLOTH_BRDF]
 
 
 def test_another_dye_reruns_pictures_and_report_only_and_settings_of_others_nothing(cloth_site):
     small = {"view": {"rows": 72, "columns": 72}, "supersampling": 1}
     others = {"normals": {"solver": "least_squares"}, "residual": {"amount": 1.0}}
     cloth_site.configure(cloth_render={**small, "dyes": {"green": "#207040"}}, **others)
-    assert cloth_site.would_run() == ["cloth_render", "cloth_report", "publish"]
+    assert cloth_site.planned() == ["cloth_render", "cloth_report"]
 
 
 def test_the_plan_says_what_the_capture_holds(cloth_site):
-    assert "pairs" in cloth_site.nishiki("plan").stdout
+    assert "pairs" in cloth_site.ask("plan")
 
 
 @pytest.mark.parametrize("stage", ["goniometer_samples", "cloth_brdf", "cloth_render"])

@@ -14,7 +14,7 @@ from nishiki.installation import is_installed
 
 pytestmark = pytest.mark.slow
 
-AFTER_RESIDUAL = ["object_render", "object_evaluate", "object_report", "publish"]
+AFTER_RESIDUAL = ["object_render", "object_evaluate", "object_report"]
 
 
 class TestObject(WhatIsLoadedAndRead):
@@ -58,20 +58,20 @@ def test_examples_of_the_public_functions_run(object_site, tmp_path, monkeypatch
 
 def test_an_amount_of_bytes_reruns_from_the_residual_on(object_site):
     object_site.configure(residual={"amount": 2.0})
-    assert object_site.would_run() == ["residual", *AFTER_RESIDUAL]
+    assert object_site.planned() == ["residual", *AFTER_RESIDUAL]
 
 
 def test_a_film_setting_reruns_pictures_and_report_only_and_a_paintings_nothing(object_site):
     painting = {"solver": "least_squares"}
     object_site.configure(object_render={"views": 6, "between": 0, "film": None}, normals=painting)
-    assert object_site.would_run() == ["object_render", "object_report", "publish"]
+    assert object_site.planned() == ["object_render", "object_report"]
 
 
 def test_views_held_out_are_predicted(object_site):
-    assert "003" not in object_site.nishiki("plan").stdout  # there is a truth
+    assert "003" not in object_site.ask("plan")  # there is a truth
     object_site.configure(hold_out=["003"])
-    assert "003" in object_site.nishiki("plan").stdout
-    stages = object_site.would_run()
+    assert "003" in object_site.ask("plan")
+    stages = object_site.planned()
     assert "ingest" not in stages
     assert "residual" in stages
 

@@ -10,7 +10,7 @@ from refusals import expect_facts
 
 pytestmark = pytest.mark.slow
 
-DOWNSTREAM_OF_NORMALS = ["height", "spectra", "brdf", "render", "evaluate", "report", "publish"]
+DOWNSTREAM_OF_NORMALS = ["height", "spectra", "brdf", "render", "evaluate", "report"]
 
 
 def edit(site, name, old, new):
@@ -64,13 +64,14 @@ def test_code_reruns_the_stages_that_import_it_and_what_follows(site):
 
 def test_changing_w1_leaves_ingest_alone(site):
     site.configure(separate={"method": "threshold", "w1": 1.3})
-    assert site.would_run() == ["separate", "normals", *DOWNSTREAM_OF_NORMALS]
+    assert site.would_run() == ["separate", "normals", *DOWNSTREAM_OF_NORMALS, "publish"]
+    assert site.planned() == ["separate", "normals", *DOWNSTREAM_OF_NORMALS]
 
 
 def test_changing_a_render_light_reruns_render_and_what_follows(site):
     light = {"elevation_deg": 30, "azimuth_deg": 10}
     site.configure(render={"pictures": [{"name": "daylight", "lights": [light]}], "sequences": []})
-    assert site.would_run() == ["render", "report", "publish"]
+    assert site.planned() == ["render", "report"]
 
 
 def test_going_back_costs_a_publication_only(site):
@@ -96,7 +97,7 @@ def test_explain_names_the_setting(site):
 
 def test_plan_says_what_is_left_out_and_why(site):
     (site.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\tproducts\ntiny\tcaptures/tiny\t\tnormals\n")
-    text = site.nishiki("plan").stdout
+    text = site.ask("plan")
     expect_facts(text, "without render", "without 4")
     assert "colour" not in text, "normals take all channels, whichever products are asked for"
 

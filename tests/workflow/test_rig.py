@@ -19,8 +19,8 @@ def by_rig(site, monkeypatch):
     monkeypatch.chdir(site.folder)
     monkeypatch.setenv("PYTHONPATH", str(site.folder / "workflow/src"))
     assert photograph_by_rig(Path("captures/tiny"), Path("captures/rig"), Path("captures/by-rig")) == 0
-    rows = "".join(f"{name}\tcaptures/{name}\tcaptures/tiny-truth\n" for name in ("tiny", "by-rig"))
-    (site.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\n" + rows)
+    rows = "tiny\tcaptures/tiny\tcaptures/tiny-truth\t\nby-rig\tcaptures/by-rig\t\theight,render\n"
+    (site.folder / "config/scenes.tsv").write_text("scene\tcapture\ttruth\tproducts\n" + rows)
     return site
 
 
