@@ -19,6 +19,7 @@ from nishiki.formats.problems import CaptureError
 from nishiki.observations.check import check_capture
 from nishiki.observations.frames import subtract_light
 from nishiki.observations.linearise import code_table
+from nishiki.observations.plane import Observations
 from nishiki.observations.plane_store import write_observations
 from nishiki.observations.registration import Window, measure_movement, move_codes, region_behind
 from nishiki.report.contact_sheet import contact_sheet
@@ -90,9 +91,14 @@ def digitise(source, tmp_path, name="c", correct=None, **options):
     settings = IngestSettings(**({"correct": correct} if correct else {}))
     out = tmp_path / f"{name}-out"
     diagnostics = write_observations(load_capture(tmp_path / name), out, settings=settings)
-    observed = nishiki.read_observations(tmp_path / name)
-    field = nishiki.estimate_normals(observed.values.mean(axis=3), observed.directions, valid=observed.valid)
-    return field, diagnostics, observed.lights
+    return normals_of(out), diagnostics, Observations(out).lights
+
+
+def normals_of(folder):
+    """Normals of the photographs that `ingest` stored."""
+    stored = Observations(folder)
+    values, valid = stored.read(slice(None), channel="mean")
+    return nishiki.estimate_normals(values, stored.directions, valid=valid)
 
 
 def difference(field, reference, margin=8):
@@ -179,9 +185,7 @@ def test_a_stated_shift_is_undone(clean, tmp_path):
     settings = IngestSettings(correct={"registration": "never"})
     diagnostics = write_observations(load_capture(tmp_path / "c"), tmp_path / "o", settings=settings)
     assert np.abs([row["shift_px"] for row in diagnostics["corrections"]["photographs"].values()]).max() < 0.2
-    observed = nishiki.read_observations(tmp_path / "c")
-    field = nishiki.estimate_normals(observed.values.mean(axis=3), observed.directions, valid=observed.valid)
-    assert difference(field, clean, margin=14) < ACCURATE
+    assert difference(normals_of(tmp_path / "o"), clean, margin=14) < ACCURATE
 
 
 def test_unconnected_photographs_are_not_moved():

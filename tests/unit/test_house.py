@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 from collections import Counter
+from functools import cache
 from graphlib import TopologicalSorter
 from importlib import import_module
 from importlib.util import module_from_spec, spec_from_file_location
@@ -22,6 +23,16 @@ from nishiki.stages.table import CHAIN
 
 PROJECT = Path(__file__).resolve().parents[2]
 PACKAGE = PROJECT / "workflow" / "src" / "nishiki"
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@cache
+def nodes_of(path: Path) -> tuple[ast.AST, ...]:
+    return tuple(ast.walk(tree_of(path)))
 
 
 def tracked() -> list[Path]:
@@ -80,10 +91,9 @@ def test_no_module_imports_one_that_imports_it():
 
 
 def definitions(kind: type) -> list:
-    trees = [ast.parse(path.read_text(encoding="utf-8")) for path in PACKAGE.rglob("*.py")]
-    return [
-        node for tree in trees for node in (tree.body if kind is ast.ClassDef else ast.walk(tree)) if type(node) is kind
-    ]
+    paths = list(PACKAGE.rglob("*.py"))
+    listed = [tree_of(path).body for path in paths] if kind is ast.ClassDef else map(nodes_of, paths)
+    return [node for nodes in listed for node in nodes if type(node) is kind]
 
 
 def test_the_name_of_a_class_means_one_thing():
@@ -110,7 +120,7 @@ def test_what_modules_take_from_a_declaration_is_a_model_of_settings_or_its_arra
     for module, others in imported.items():
         if others & declared and module not in declared:
             path = SOURCE.joinpath(*module.split(".")).with_suffix(".py")
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for node in nodes_of(path):
                 if isinstance(node, ast.ImportFrom) and node.module in declared:
                     names = {alias.name for alias in node.names}
                     taken |= {(node.module, name) for name in names if f"{node.module}.{name}" not in imported}
@@ -137,9 +147,9 @@ def test_packages_are_empty_but_for_declarations_so_that_one_stage_does_not_impo
     heavy = {"numpy", "scipy", "numba", "zarr", "trimesh", "nishiki.stages.table"}
     assert not [path for path in declared if heavy & set(syntax_of(path).names)]
     # That of the package names what is public and imports nothing by itself; the block is for type checkers.
-    statements = [node for node in ast.parse(root.read_text()).body if not isinstance(node, ast.If | ast.FunctionDef)]
+    statements = [node for node in tree_of(root).body if not isinstance(node, ast.If | ast.FunctionDef)]
     assert not [node for node in statements if isinstance(node, ast.Import | ast.ImportFrom)]
-    blocks = [node for node in ast.parse(root.read_text()).body if isinstance(node, ast.If)]
+    blocks = [node for node in tree_of(root).body if isinstance(node, ast.If)]
     assert [ast.unparse(node.test) for node in blocks] == ["TYPE_CHECKING"]
 
 
@@ -150,7 +160,7 @@ def test_no_module_calls_what_is_public_through_the_package():
     others = [path for path in paths if path != PACKAGE / "__init__.py"]
     assert not [path.name for path in others if public & set(syntax_of(path).names)]
     for path in others:
-        imported = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Import)]
+        imported = [node for node in nodes_of(path) if isinstance(node, ast.Import)]
         assert not [alias for node in imported for alias in node.names if alias.name == "nishiki"], path.name
 
 
@@ -189,7 +199,7 @@ def test_kernels_say_which_float_they_mean():
         text = path.read_text(encoding="utf-8")
         compiled = [
             node
-            for node in (ast.walk(ast.parse(text)) if "jit" in text else ())
+            for node in (nodes_of(path) if "jit" in text else ())
             if isinstance(node, ast.FunctionDef) and any("jit" in ast.unparse(d) for d in node.decorator_list)
         ]
         calls = [call for node in compiled for call in ast.walk(node) if isinstance(call, ast.Call)]
