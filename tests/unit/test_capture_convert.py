@@ -169,7 +169,9 @@ EXPECTED = {
 
 @pytest.mark.slow
 @pytest.mark.data
-@pytest.mark.parametrize("name", EXPECTED)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.long) if name.endswith("_cat") else name for name in EXPECTED]
+)
 def test_measured_folders(data, tmp_path, name):
     made = convert(data / name, tmp_path / name)
     assert (made.photographs, made.layout) == EXPECTED[name]

@@ -84,7 +84,7 @@ def exchanged(count, first, second):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["figure", "handle"])
+@pytest.mark.parametrize("kind", ["figure", pytest.param("handle", marks=pytest.mark.long)])
 @pytest.mark.parametrize(
     ("fault", "named"),
     [
