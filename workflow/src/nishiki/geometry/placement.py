@@ -38,17 +38,18 @@ def shade_from_camera(mesh: Mesh, camera: Camera) -> np.ndarray:
     return np.where(seen >= 0, 30 + 225 * np.sqrt(light[seen]), 20).astype(np.uint8)
 
 
-def find_overruled(loose: Mesh, camera: Camera, mask: np.ndarray, dark: np.ndarray, cell: float) -> np.ndarray:
+def find_overruled(loose: Mesh, camera: Camera, mask: np.ndarray, unsure: np.ndarray, cell: float) -> np.ndarray:
     """Find the background of a view's mask that is the object by the other views, (rows, columns) bool.
 
     loose: hull that forgives some views, with grid cells of side `cell` (world's unit), which holds the object whatever
-    single masks (rows, columns) bool say; dark (rows, columns) bool: pixels that may lie in shadow. Where background
-    lies deeper within the hull's outline than the grid and the outline are unsure, or is dark in the middle of a part
-    too thin for that, all of it up to the outline counts: a shadow that the object casts on itself is as black as a
-    dark background. So does a dark gap across a thin part of the mask.
+    single masks (rows, columns) bool say; unsure (rows, columns) bool: pixels that may be object, dark ones and small
+    parts. Where background lies deeper within the hull's outline than the grid and the outline are unsure, or is unsure
+    in the middle of a part too thin for that, all of it up to the outline counts: a shadow that the object casts on
+    itself is as black as a dark background. So does an unsure gap across a thin part of the mask.
     """
     import cv2
 
+    unsure = cv2.dilate(unsure.astype(np.uint8), _disc(int(UNSURE_PX))) > 0  # between dark and small parts
     covered = outline_of(loose, camera)
     depth = float(np.median(camera.project(loose.vertices)[1]))
     cell_px = cell * float(np.sqrt(abs(np.linalg.det(camera.intrinsics)))) / max(depth, 1e-300)
@@ -56,9 +57,9 @@ def find_overruled(loose: Mesh, camera: Camera, mask: np.ndarray, dark: np.ndarr
     solid, lost, rim = mask.astype(np.uint8), (covered & ~mask).astype(np.uint8), 2 * reach + 1
     depths = cv2.distanceTransform(covered.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     middle = np.maximum(MIDDLE * cv2.dilate(depths, _disc(reach)), LEAST_PX)
-    deep = ((depths > reach) | ((depths > middle) & dark)).astype(np.uint8) & lost
+    deep = ((depths > reach) | ((depths > middle) & unsure)).astype(np.uint8) & lost
     closed = cv2.morphologyEx(np.pad(solid, rim), cv2.MORPH_CLOSE, _disc(2 * reach))[rim:-rim, rim:-rim]
-    return ((cv2.dilate(deep, _disc(reach + 1)) | (closed & dark)) & lost) > 0
+    return ((cv2.dilate(deep, _disc(reach + 1)) | (closed & unsure)) & lost) > 0
 
 
 def _disc(radius: int) -> np.ndarray:

@@ -49,7 +49,7 @@ class Silhouette:
     # the outline is a guess)
     separation: float
     parts: int  # connected parts kept
-    dropped: int  # pixels of small parts that were removed
+    dropped: np.ndarray  # (rows, columns) bool, small parts that were removed: dust, or the object cut off by a shadow
     holes: int  # pixels of background visible through the object
 
 
@@ -83,11 +83,12 @@ def segment(picture: np.ndarray, *, background: str = "auto") -> Silhouette:
     mask, _, dropped, _ = tidy(cv2.GaussianBlur(distance, (0, 0), 0.8) > best_level(distance), distance)
     mask = at_half_cover(small, mask)
     mask, parts, crumbs, holes = tidy(mask, distance)
-    separation = _separation(mask, distance)
+    dropped, separation = dropped | crumbs, _separation(mask, distance)
     if shrink < 1:
+        dropped = cv2.resize(dropped.astype(np.uint8), picture.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
         soft = cv2.resize(mask.astype(np.float32), picture.shape[1::-1], interpolation=cv2.INTER_LINEAR)
         mask = at_half_cover(picture, soft > 0.5, reach=int(np.ceil((REACH_PX + 1) / shrink)))
-    return Silhouette(mask, separation, parts, dropped + crumbs, holes)
+    return Silhouette(mask, separation, parts, dropped & ~mask, holes)
 
 
 def live_area(picture: np.ndarray) -> tuple[slice, slice]:
@@ -267,20 +268,20 @@ def _move_to_half_cover(light: np.ndarray, mask: np.ndarray, reach: int) -> np.n
     return np.where(known, cover > 0.5, mask)
 
 
-def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, int, int]:
+def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, np.ndarray, int]:
     """Keep the large parts of a mask, and fill its holes where they do not look like background.
 
     Parts below a fiftieth of the largest are dust on the background; a hole is real where at least four pixels of it
-    have background colour in the median. Returns mask, parts, pixels dropped, pixels of holes left open.
+    have background colour in the median. Returns mask, parts, the mask of those dropped, pixels of holes left open.
     """
     import cv2
 
     count, labels, facts, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)
     if count < 2:
-        return mask, 0, 0, 0
+        return mask, 0, mask, 0
     areas = facts[1:, cv2.CC_STAT_AREA]
     kept = np.concatenate([[False], areas * 50 >= areas.max()])
-    out = kept[labels]
+    out, dropped = kept[labels], mask & ~kept[labels]
     count, labels, facts, _ = cv2.connectedComponentsWithStats((~out).astype(np.uint8), connectivity=4)
     rim = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     open_pixels = 0
@@ -291,7 +292,7 @@ def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, int, 
             open_pixels += area
         else:
             out[here] = True
-    return out, int(kept.sum()), int(areas[~kept[1:]].sum()), open_pixels
+    return out, int(kept.sum()), dropped, open_pixels
 
 
 def _separation(mask: np.ndarray, distance: np.ndarray) -> float:

@@ -38,11 +38,11 @@ def run(context: Context) -> dict:
         raise UserError(f"hold_out: no view {', '.join(unknown)}; there are: {', '.join(views.views)}")
     source = source_of(settings.source, views)
     used = [name not in settings.hold_out for name in views.views]
-    outlines, darks, facts = find_outlines(context, views, source == "silhouettes")
+    outlines, unsure, facts = find_outlines(context, views, source == "silhouettes")
     masks, diagnostics = list(outlines), expect_coherence(context, views, cameras, outlines)
     if source == "silhouettes":
         context.progress.tell("hull")
-        masks, overruling = overrule(context, views, cameras, outlines, darks, used)
+        masks, overruling = overrule(context, views, cameras, outlines, unsure, used)
         given, background = len(masks) - len(facts), background_of(context, views)
         diagnostics["silhouettes"] = {"given": given, "background": background, **overruling, "views": facts}
         hull = carve(keep_usable(masks, used), cameras, cells=settings.cells)
@@ -97,16 +97,17 @@ def keep_usable(masks: list, used: list[bool]) -> list:
 
 
 def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], list, dict]:
-    """Return silhouettes, given or segmented; parts of segmented ones possibly in shadow, and figures by view."""
+    """Return silhouettes, given or segmented; pixels of segmented ones that may be object, and figures by view."""
     outlines, facts = [views.silhouette(name) for name in views.views], {}
-    darks = [None if outline is None else np.zeros_like(outline) for outline in outlines]
+    unsure = [None if outline is None else np.zeros_like(outline) for outline in outlines]
     missing = [place for place, outline in enumerate(outlines) if outline is None] if needed else []
     for place in context.progress.over(missing, "silhouette"):
         picture = display(views.mean_light(place))
         segmented = segment(picture, background=background_of(context, views))
-        outlines[place], darks[place] = segmented.mask, picture.max(axis=-1) < DARK
-        facts[views.views[place]] = {key: value for key, value in vars(segmented).items() if key != "mask"}
-    return outlines, darks, facts
+        outlines[place], unsure[place] = segmented.mask, segmented.dropped | (picture.max(axis=-1) < DARK)
+        facts[views.views[place]] = {**vars(segmented), "dropped": int(segmented.dropped.sum())}
+        del facts[views.views[place]]["mask"]
+    return outlines, unsure, facts
 
 
 def background_of(context: Context, views: Views) -> str:
@@ -135,9 +136,9 @@ def expect_coherence(context: Context, views: Views, cameras: list[Camera], outl
 
 
 def overrule(
-    context: Context, views: Views, cameras: list[Camera], masks: list[np.ndarray], darks: list, used: list[bool]
+    context: Context, views: Views, cameras: list[Camera], masks: list[np.ndarray], unsure: list, used: list[bool]
 ) -> tuple[list[np.ndarray], dict]:
-    """Extend masks by the hull of the other views, and return figures of the change; darks: see `find_overruled`.
+    """Extend masks by the hull of the other views, and return figures of the change; unsure: see `find_overruled`.
 
     Given masks stay as they are unless the setting `misses` is a number.
     """
@@ -149,7 +150,7 @@ def overrule(
     loose, _ = without_small_parts(hull.mesh)
     for place, name in enumerate(views.views):
         if settings.misses is not None or views.silhouette(name) is None:
-            more = find_overruled(loose, cameras[place], masks[place], darks[place], hull.cell)
+            more = find_overruled(loose, cameras[place], masks[place], unsure[place], hull.cell)
             out[place], shares[name] = masks[place] | more, float(more.sum() / max(1, masks[place].sum()))
     mean = float(np.mean(list(shares.values()))) if shares else 0.0
     return out, {"overruled": {"misses": misses, "genus": shape_of(loose).genus, "mean": mean, "share": shares}}
