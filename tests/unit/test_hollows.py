@@ -1,64 +1,17 @@
 """Hollows that no outline shows: found where no matt point fits the photographs, sunk as deep as these agree."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 import pytest
+from matt_bodies import photographed, turned
 
 from nishiki.geometry import hollows
-from nishiki.geometry.camera import NO_DISTORTION, look_at
-from nishiki.geometry.hollows import ShadingPhotographs, contradicted_regions, sink_hollows
-from nishiki.geometry.mesh import Mesh
-from nishiki.geometry.visibility import interpolate, rasterise
+from nishiki.geometry.hollows import contradicted_regions, sink_hollows
+from nishiki.geometry.visibility import rasterise
 
 RIM = 0.4
 OUTSIDE = [(0.0, -0.6), (0.6, -0.6), (0.7, RIM)]
-
-
-def turned(profile, spacing=0.036, columns=64):
-    """Closed body of revolution about z from points (radius, z) of its profile, axis to axis."""
-    corners = np.array(profile)
-    rows = [
-        a + (b - a) * np.linspace(0, 1, max(2, int(np.linalg.norm(b - a) / spacing)), endpoint=False)[:, None]
-        for a, b in pairwise(corners)
-    ]
-    radius, z = np.concatenate(rows)[1:].T
-    angle = 2 * np.pi * np.arange(columns) / columns
-    ring = np.stack(
-        [np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle)), np.outer(z, np.ones(columns))], axis=-1
-    )
-    vertices = np.concatenate([ring.reshape(-1, 3), [[0, 0, corners[0][1]], [0, 0, corners[-1][1]]]])
-    a, b = np.arange(columns), np.roll(np.arange(columns), -1)
-    bands = [
-        np.concatenate([np.stack([a, b, b + columns], 1), np.stack([a, b + columns, a + columns], 1)]) + k * columns
-        for k in range(len(radius) - 1)
-    ]
-    last = (len(radius) - 1) * columns
-    ends = [np.stack([np.full(columns, len(vertices) - 2), b, a], 1)]
-    ends.append(np.stack([np.full(columns, len(vertices) - 1), last + a, last + b], 1))
-    return Mesh.of(vertices, np.concatenate([*bands, *ends]))
-
-
-def photographed(body, distortion=NO_DISTORTION):
-    """A painted matt body under a lamp beside the camera, from all round and above, through this lens."""
-    pictures, silhouettes, cameras = [], [], []
-    for turn in 2 * np.pi * np.arange(24) / 24:
-        eye = 4 * np.array([np.cos(turn) * np.cos(0.7), np.sin(turn) * np.cos(0.7), np.sin(0.7)])
-        camera = look_at(eye, (0, 0, 0), rows=128, columns=128, field_of_view=0.5, up=(0, 0, 1))
-        camera = replace(camera, distortion=distortion)
-        raster = rasterise(body, camera)
-        points, normals = (
-            interpolate(v, body.triangles, raster.triangle, raster.barycentric) for v in (body.vertices, body.normals)
-        )
-        paint = 0.5 + 0.2 * np.cos(11 * points) + 0.2 * np.cos(17 * points[..., [1, 2, 0]] + 1)
-        lamp = eye + 0.2 * camera.rotation[0] - points
-        lamp /= np.linalg.norm(lamp, axis=-1, keepdims=True)
-        pictures.append((paint * np.maximum((normals * lamp).sum(-1), 0)[..., None]).astype(np.float32))
-        silhouettes.append(raster.triangle >= 0)
-        pictures[-1][~silhouettes[-1]] = 0
-        cameras.append(camera)
-    return ShadingPhotographs.of(pictures, silhouettes, cameras)
 
 
 def depths_of(mesh, scene):
@@ -161,6 +114,21 @@ def test_what_few_views_see_is_not_judged():
     below = hull.normals[:, 2] < -0.5
     assert below.any()
     assert (values[below] == -1).all()
+
+
+def test_the_other_views_predict_a_view_left_out():
+    body = filled()
+    scene = photographed(body)
+    seen = np.stack([np.where(np.isfinite(depth), depth, 0) for depth in depths_of(body, scene)]).astype(np.float32)
+    place = 7
+    front = body.normals @ (scene.cameras[place].centre / 4) > 0.5
+    _, predicted = scene.fit(seen, body.vertices[front], body.normals[front], place)
+    column, row = np.rint(scene.cameras[place].project(body.vertices[front])[0]).astype(int).T
+    error = np.abs(predicted - scene.pictures[place, row, column]).max(axis=1)
+    assert np.median(error) < 0.03
+    changed = replace(scene, pictures=scene.pictures.copy())
+    changed.pictures[place] = 0
+    np.testing.assert_array_equal(changed.fit(seen, body.vertices[front], body.normals[front], place)[1], predicted)
 
 
 def test_the_distortion_of_the_lens_counts():

@@ -45,8 +45,6 @@ IMPROVEMENT = 0.7
 """Ratio of a region's residual to that before, above which the region stays as it was."""
 FEWEST_VIEWS = 5
 LEAST_COSINE = 0.25  # of a view with the normal
-FINEST_SIZE_PX = 100
-"""Root of the silhouette's area to which photographs are shrunk."""
 WIDTHS = (1.0, 0.7)
 """Parts of the limit above which neighbours of a contradicted place are tried as part of its region: towards its rim a
 hollow is shallow, and there the residual falls."""
@@ -56,14 +54,14 @@ DEPTHS = np.geomspace(0.05, 0.94, 12)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fit_matt_points(start, stop, views, limits, points, normals, out):
+def fit_matt_points(start, stop, views, limits, points, normals, out, predicted):
     """Average the robust squared residual (n,) of I = b . l over the views that see a point; three rounds of weights.
 
     views: pictures (v, rows, columns, channels), depth of the farthest surface about each pixel (v, rows, columns),
-    poses, lenses, centres (v, 3); limits: mean distance of the cameras, tolerance of the depth; points and normals
-    (n, 3). -1 where too few views see a point.
+    poses, lenses, centres (v, 3); limits: mean distance of the cameras, tolerance of the depth, view that is left out
+    or -1; points and normals (n, 3). -1 where too few views see a point. predicted (n, channels): of the view left out.
     """
-    (pictures, deepest, poses, lenses, centres), (distance, tolerance) = views, limits
+    (pictures, deepest, poses, lenses, centres), (distance, tolerance, left_out) = views, limits
     count, rows, columns, channels = pictures.shape
     shown, towards, light, spot = np.empty((count, channels)), np.empty((count, 3)), np.empty(3), np.empty(3)
     variance, weight, error = np.empty(count), np.empty(count), np.empty(count)
@@ -71,6 +69,8 @@ def fit_matt_points(start, stop, views, limits, points, normals, out):
     for n in range(start, stop):
         seen = 0
         for v in range(count):
+            if v == left_out:
+                continue
             square, facing = 0.0, 0.0
             for k in range(3):
                 light[k] = centres[v, k] - points[n, k]
@@ -123,6 +123,14 @@ def fit_matt_points(start, stop, views, limits, points, normals, out):
                 weight[v] = 1 / (variance[v] * (1 + error[v] / 4))
                 total += min(error[v], LARGEST)
         out[n] = min(total / max(seen - 3, 1), LARGEST)
+        if left_out >= 0:
+            square = 0.0
+            for k in range(3):
+                light[k] = centres[left_out, k] - points[n, k]
+                square += light[k] ** 2
+            for k in range(channels):
+                model = (b[k, 0] * light[0] + b[k, 1] * light[1] + b[k, 2] * light[2]) * distance**2 / square**1.5
+                predicted[n, k] = max(model, 0.0)
 
 
 @dataclass(frozen=True)
@@ -136,13 +144,16 @@ class ShadingPhotographs:
 
     @classmethod
     def of(
-        cls, pictures: Iterable[np.ndarray], silhouettes: list[np.ndarray], cameras: list[Camera]
+        cls, pictures: Iterable[np.ndarray], silhouettes: list[np.ndarray], cameras: list[Camera], *, size_px: float
     ) -> "ShadingPhotographs":
-        """Prepare linear pictures (rows, columns, channels), silhouettes (rows, columns) bool, at the cameras' size."""
+        """Prepare linear pictures (rows, columns, channels), silhouettes (rows, columns) bool, at the cameras' size.
+
+        size_px: root of the silhouette's area to which photographs are shrunk.
+        """
         import cv2
 
         area = np.mean([silhouette.sum() for silhouette in silhouettes])
-        small = [scale_camera(camera, 1 / max(1, round(np.sqrt(area) / FINEST_SIZE_PX))) for camera in cameras]
+        small = [scale_camera(camera, 1 / max(1, round(np.sqrt(area) / size_px))) for camera in cameras]
         size = small[0].columns, small[0].rows
 
         def shrunk(values: np.ndarray) -> np.ndarray:
@@ -173,16 +184,26 @@ class ShadingPhotographs:
         """Compute the mean robust squared residual (n,) of points in the views that see them; -1 where too few do."""
         import cv2
 
+        shown = np.where(np.isfinite(depths), depths, 0).astype(np.float32)
+        return self.fit(np.stack([cv2.dilate(depth, np.ones((3, 3), np.uint8)) for depth in shown]), points, normals)[0]
+
+    def fit(self, seen: np.ndarray, points: np.ndarray, normals: np.ndarray, left_out: int = -1):
+        """Return the residuals (n,), and what a view left out of the fit would show (n, channels), NaN if unknown.
+
+        seen (views, rows, columns): depth about each pixel up to which a view sees.
+        """
         centres = np.array([camera.centre for camera in self.cameras])
         distance = np.linalg.norm(centres - points.mean(axis=0), axis=1).mean()
-        tolerance = 2.5 * distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
-        shown = np.where(np.isfinite(depths), depths, 0).astype(np.float32)
-        deepest = np.stack([cv2.dilate(depth, np.ones((3, 3), np.uint8)) for depth in shown])
-        views = self.pictures, deepest, *SilhouetteField.geometry_of(self.cameras), centres
+        views = self.pictures, seen, *SilhouetteField.geometry_of(self.cameras), centres
         points, normals = (np.ascontiguousarray(values, np.float64) for values in (points, normals))
-        out = np.empty(len(points))
-        over_rows(fit_matt_points, len(points), views, (distance, tolerance), points, normals, out)
-        return out
+        out, predicted = np.empty(len(points)), np.full((len(points), self.pictures.shape[-1]), np.nan)
+        limits = distance, 2.5 * self.pixel_at(distance), left_out
+        over_rows(fit_matt_points, len(points), views, limits, points, normals, out, predicted)
+        return out, predicted
+
+    def pixel_at(self, distance: float) -> float:
+        """Return the length across the line of sight of a pixel at this distance."""
+        return distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
 
 
 def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: ShadingPhotographs) -> tuple[Mesh, list[dict]]:

@@ -6,14 +6,14 @@ surface lies between the grid points where the outlines put it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 
 import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
-from nishiki.geometry.hull_kernels import MOST_MISSES, fill_slab
+from nishiki.geometry.hull_kernels import MOST_MISSES, cut_slab, fill_slab
 from nishiki.geometry.mesh import Mesh
 from nishiki.installation import optional
 from nishiki.threads import in_threads
@@ -24,6 +24,7 @@ VIEWS_A_MISS = 30  # views for one that may wrongly see background
 BAND = 3.0
 """Cells around the surface within which distances are kept as they are; beyond, only the sign counts."""
 SMOOTHING_PX = 0.7
+VOTES = 2  # views that must see beside a part to cut it
 MARGIN_PX = 3
 
 
@@ -49,13 +50,52 @@ class SilhouetteField:
 
 
 @dataclass(frozen=True)
+class FrontParts:
+    """Edges of the parts that stand before the rest of the object, in the views that show the rest beside them."""
+
+    cameras: list[Camera]
+    distances: np.ndarray  # (views, rows, columns) float32, pixels to the edge, positive on the part
+    depths: np.ndarray  # (views, rows, columns) float32, behind the part and before the rest; 0 where there is no part
+
+    def pixels_beside(self) -> dict[str, int]:
+        """Count by view the pixels of the hull's front parts that show what is behind them."""
+        beside = (self.distances < 0).sum(axis=(1, 2)) if self.cameras else []
+        return {camera.name: int(count) for camera, count in zip(self.cameras, beside, strict=True)}
+
+
+@dataclass(frozen=True)
 class Hull:
     """A visual hull."""
 
-    mesh: Mesh  # surface of the hull
+    volume: np.ndarray  # (x, y, z) float32, signed distance at the points of a grid, positive inside
+    origin: np.ndarray  # (3,) of the grid
     cell: float  # side of a grid cell, world's unit
-    shape: tuple[int, ...]  # grid points along x, y, z
     box: np.ndarray  # (2, 3) lowest and highest corner
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The surface of the hull."""
+        return surface_of(self.volume, self.origin, self.cell)
+
+    def cut(self, parts: FrontParts) -> "Hull":
+        """Cut front parts along their edges, as far as `VOTES` views agree."""
+        from scipy.ndimage import gaussian_filter
+
+        cuts, band = np.full_like(self.volume, BAND * self.cell), BAND * self.cell
+        if len(parts.cameras) >= VOTES:
+            views = *SilhouetteField.geometry_of(parts.cameras), parts.distances, parts.depths
+            cut = partial(cut_slab, views, (self.origin, self.cell), VOTES, band, self.volume, cuts)
+            list(in_threads(lambda s: cut(s, min(s + BLOCK, len(cuts))), range(0, len(cuts), BLOCK)))
+        changed = np.argwhere(cuts < self.volume)
+        if not len(changed):
+            return self
+        box = tuple(slice(max(0, low - 4), high + 5) for low, high in zip(changed.min(0), changed.max(0), strict=True))
+        before, volume = self.volume[box], self.volume.copy()
+        # Where the number of views that agree changes the cut is rough: threads and thin sheets are smoothed away.
+        after = np.minimum(before, cuts[box])
+        near = gaussian_filter((after < before).astype(np.float32), 1.0) > 0.01
+        volume[box] = np.where(near, np.minimum(before, gaussian_filter(after, 1.0)), before)
+        return replace(self, volume=volume)
 
 
 def signed_distance(silhouette: np.ndarray) -> np.ndarray:
@@ -278,7 +318,7 @@ def carve(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, cells:
             f"nothing is left of the hull on a grid of {cells} cells, since silhouettes contradict each other. Remedy: "
             "check silhouettes and camera matrices, or omit the wrong view"
         )
-    return Hull(surface_of(volume, origin, cell), cell, shape, box)
+    return Hull(volume, origin, cell, box)
 
 
 def surface_of(volume: np.ndarray, origin: np.ndarray, cell: float) -> Mesh:

@@ -156,6 +156,40 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
 
 
 @njit(**JIT)
+def cut_slab(views, grid, votes, band, volume, cuts, first, last):
+    """Fill cuts (i, j, k) with the `votes`-th smallest distance to the edges of the parts that a point may belong to.
+
+    views: poses, lenses, distances to an edge and depths behind a part (views, rows, columns); only points before that
+    depth are asked, and within the volume. grid, band, volume, first, last: as in `fill_slab`.
+    """
+    (poses, lenses, distances, depths), (origin, cell) = views, grid
+    (count, rows, columns), spot, least = distances.shape, np.empty(3), np.empty(votes)
+    for i in range(first, last):
+        for j in range(volume.shape[1]):
+            for k in range(volume.shape[2]):
+                if volume[i, j, k] <= -cell:
+                    continue
+                least[:] = FAR
+                for view in range(count):
+                    x, y, z = origin[0] + cell * i, origin[1] + cell * j, origin[2] + cell * k
+                    project_point(poses[view], lenses[view], x, y, z, spot)
+                    row, column = int(spot[1] + 0.5), int(spot[0] + 0.5)
+                    if not (spot[2] > 0.0 and 0 < row < rows - 1 and 0 < column < columns - 1):
+                        continue
+                    if spot[2] >= depths[view, row, column]:
+                        continue
+                    row, column = int(spot[1]), int(spot[0])
+                    s, t, at = spot[1] - row, spot[0] - column, distances[view]
+                    value = (1.0 - s) * ((1.0 - t) * at[row, column] + t * at[row, column + 1])
+                    value += s * ((1.0 - t) * at[row + 1, column] + t * at[row + 1, column + 1])
+                    value *= spot[2] / lenses[view, 10]
+                    for m in range(votes):
+                        if value < least[m]:
+                            least[m], value = value, least[m]
+                cuts[i, j, k] = min(max(least[votes - 1], -band), band)
+
+
+@njit(**JIT)
 def trace_rays(field, views, origins, directions, spans, misses, reach, out):
     """Find the largest signed distance of the hull along rays, world's unit, out (n,); tracing ends above -reach.
 

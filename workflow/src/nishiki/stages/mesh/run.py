@@ -9,10 +9,11 @@ from nishiki.codec.compact import grid_step
 from nishiki.errors import UserError
 from nishiki.formats.problems import raise_errors
 from nishiki.geometry.camera import Camera, read_cameras
-from nishiki.geometry.cleaning import clean
+from nishiki.geometry.cleaning import Defects, clean
 from nishiki.geometry.coherence import measure_coherence
+from nishiki.geometry.front_parts import find_front_parts
 from nishiki.geometry.hollows import ShadingPhotographs, sink_hollows
-from nishiki.geometry.hull import carve, usual_misses
+from nishiki.geometry.hull import Hull, carve, usual_misses
 from nishiki.geometry.mesh import Mesh, read_points, read_triangles, write_ply
 from nishiki.geometry.placement import agreement, find_overruled, move_mesh, outline_of
 from nishiki.geometry.silhouettes import display, segment
@@ -22,6 +23,8 @@ from nishiki.observations.views import Views
 from nishiki.render.display import write_png
 
 COARSE_CELLS, HOLLOW_CELLS = 128, 96
+PARTS_PX, HOLLOWS_PX = 200, 100
+"""Root of the object's area in photographs that are searched for edges of front parts, and for hollows."""
 DARK = 60
 """sRGB code (of 255) below which a pixel may lie in shadow: 4.5 % of white."""
 PREVIEW_ROWS = 480  # pixels
@@ -45,20 +48,25 @@ def run(context: Context) -> dict:
         masks, overruling = overrule(context, views, cameras, outlines, unsure, used)
         given, background = len(masks) - len(facts), background_of(context, views)
         diagnostics["silhouettes"] = {"given": given, "background": background, **overruling, "views": facts}
-        hull = carve(keep_usable(masks, used), cameras, cells=settings.cells)
-        mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
-        diagnostics["hull"] = {"cell": hull.cell, "shape": hull.shape, "box": hull.box.tolist()}
-        del hull  # a mesh as large as the whole one
+        kept = keep_usable(masks, used)
+        hull = carve(kept, cameras, cells=settings.cells)
+        diagnostics["hull"] = {"cell": hull.cell, "shape": hull.volume.shape, "box": hull.box.tolist()}
+        context.progress.tell("front parts")
+        coarse = carve(kept, cameras, cells=HOLLOW_CELLS)
+        parts = find_front_parts(surface_of(coarse, cameras, 1.0)[0], photographs(views, cameras, kept, PARTS_PX))
+        diagnostics["front_parts"] = parts.pixels_beside()
+        hull = hull.cut(parts)
+        mesh, defects, small = surface_of(hull, cameras, settings.smooth)
+        del hull  # its mesh is as large as the whole one
+        if settings.concavities:
+            context.progress.tell("hollows")
+            coarse, _, _ = surface_of(coarse.cut(parts), cameras, max(1.0, settings.smooth))
+            mesh, diagnostics["concavities"] = sink_hollows(mesh, coarse, photographs(views, cameras, kept, HOLLOWS_PX))
     else:
         read = read_file if source == "file" else merge_scans
         vertices, triangles, diagnostics[source] = read(context, views, cameras, document["mirror"])
         mesh, defects = sound(vertices, triangles, cameras)
-    mesh, small = without_small_parts(mesh)
-    if source == "silhouettes" and settings.smooth:
-        mesh = smooth_outline_steps(mesh, cameras, most_px=settings.smooth)
-    if source == "silhouettes" and settings.concavities:
-        context.progress.tell("hollows")
-        mesh, diagnostics["concavities"] = without_hollows(context, views, cameras, mesh, keep_usable(masks, used))
+        mesh, small = without_small_parts(mesh)
     light = fewest_triangles(mesh, cameras, deviation_px=settings.deviation_px, most=settings.most_triangles)
     step = grid_step(light.mesh, cameras)  # the coarsest grid that moves no vertex visibly
     mesh = snap(light.mesh, step)
@@ -156,20 +164,20 @@ def overrule(
     return out, {"overruled": {"misses": misses, "genus": shape_of(loose).genus, "mean": mean, "share": shares}}
 
 
-def without_hollows(
-    context: Context, views: Views, cameras: list[Camera], mesh: Mesh, masks: list[np.ndarray | None]
-) -> tuple[Mesh, list[dict]]:
-    """Carve the hollows visible in the photographs out of the hull; return figures of each."""
+def surface_of(hull: Hull, cameras: list[Camera], smooth_px: float) -> tuple[Mesh, Defects, int]:
+    """Extract a hull's surface, cleaned and smoothed; return it with the defects and the small parts removed."""
+    mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
+    mesh, small = without_small_parts(mesh)
+    return smooth_outline_steps(mesh, cameras, most_px=smooth_px), defects, small
+
+
+def photographs(
+    views: Views, cameras: list[Camera], masks: list[np.ndarray | None], size_px: float
+) -> ShadingPhotographs:
+    """Read the photographs of the views with a mask; size_px: root of the object's area to which they are shrunk."""
     used = [place for place, mask in enumerate(masks) if mask is not None]
-    hull = carve(masks, cameras, cells=HOLLOW_CELLS)
-    coarse, _ = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
-    coarse, _ = without_small_parts(coarse)
-    coarse = smooth_outline_steps(coarse, cameras, most_px=max(1.0, context.settings.smooth))
-    pictures = (views.mean_light(place) for place in used)
-    photographed = ShadingPhotographs.of(
-        pictures, [mask for mask in masks if mask is not None], [cameras[place] for place in used]
-    )
-    return sink_hollows(mesh, coarse, photographed)
+    shown, posed = [masks[place] for place in used], [cameras[place] for place in used]
+    return ShadingPhotographs.of(map(views.mean_light, used), shown, posed, size_px=size_px)
 
 
 def read_file(context: Context, views: Views, cameras: list[Camera], mirror: list[int] | None):

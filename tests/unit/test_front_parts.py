@@ -1,0 +1,115 @@
+"""Parts before the rest of an object: cut where photographs show the rest beside them, left alone elsewhere."""
+
+import numpy as np
+import pytest
+from matt_bodies import photographed, turned
+
+from nishiki.geometry.camera import look_at
+from nishiki.geometry.front_parts import edge_distance, find_front_parts
+from nishiki.geometry.hull import VOTES, FrontParts, Hull, carve
+from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.placement import agreement, outline_of
+from nishiki.geometry.surface import shape_of, without_small_parts
+
+DRUM = [(0.0, -0.5), (0.5, -0.5), (0.5, 0.5), (0.0, 0.5)]
+
+
+def post_and_drum():
+    """A painted drum, and before it a post that stands free."""
+    post = turned([(0.0, -0.5), (0.07, -0.5), (0.07, 0.4), (0.0, 0.4)])
+    drum = turned(DRUM)
+    vertices = np.concatenate([drum.vertices, post.vertices + np.array([0.75, 0, 0])])
+    return Mesh.of(vertices, np.concatenate([drum.triangles, post.triangles + len(drum.vertices)]))
+
+
+def widths_of(mesh, height=0.0):
+    """Extent across of what stands before x = 0.6, near a height."""
+    post = mesh.vertices[(mesh.vertices[:, 0] > 0.6) & (np.abs(mesh.vertices[:, 2] - height) < 0.1)]
+    return np.ptp(post[:, 1])
+
+
+def test_a_post_before_a_drum_becomes_as_thin_as_it_is():
+    body = post_and_drum()
+    scene = photographed(body, elevation=0.35, size_px=1000)
+    hull = carve(list(scene.silhouettes), scene.cameras, cells=96)
+    parts = find_front_parts(hull.mesh, scene)
+    cut = hull.cut(parts)
+    before, after = widths_of(hull.mesh), widths_of(cut.mesh)
+    pixel = scene.pixel_at(4.0)
+    assert before > 0.14 + 3 * pixel
+    assert after == pytest.approx(0.14, abs=2.5 * pixel)
+    assert VOTES <= len(parts.cameras) < len(scene.cameras) / 2
+    facts = shape_of(without_small_parts(cut.mesh)[0])
+    assert (facts.parts, facts.genus) == (2, 0)
+    for camera, silhouette in zip(scene.cameras, scene.silhouettes, strict=True):
+        assert agreement(outline_of(cut.mesh, camera), silhouette) > 0.97
+
+
+def test_a_body_without_parts_before_it_stays():
+    scene = photographed(turned(DRUM), elevation=0.35, size_px=1000)
+    hull = carve(list(scene.silhouettes), scene.cameras, cells=48)
+    parts = find_front_parts(hull.mesh, scene)
+    assert parts.pixels_beside() == {}
+    assert hull.cut(parts) is hull
+
+
+def test_what_one_view_says_alone_cuts_nothing():
+    body = post_and_drum()
+    scene = photographed(body, elevation=0.35, size_px=1000)
+    hull = carve(list(scene.silhouettes), scene.cameras, cells=48)
+    parts = find_front_parts(hull.mesh, scene)
+    alone = FrontParts(parts.cameras[:1], parts.distances[:1], parts.depths[:1])
+    assert VOTES == 2
+    assert hull.cut(alone) is hull
+
+
+def test_distance_to_the_edge_against_its_definition():
+    part = np.zeros((24, 30), bool)
+    part[4:20, 5:25] = True
+    beside = part & (np.arange(30) < 9)
+    found = edge_distance(beside, part)
+    rows, columns = np.indices(part.shape)
+    for row, column in ((10, 6), (10, 8), (10, 9), (12, 15)):
+        kept, free = ((np.hypot(rows - row, columns - column)[mask]).min() for mask in (part & ~beside, beside))
+        expected = 0.5 - kept if beside[row, column] else free - 0.5
+        assert found[row, column] == pytest.approx(expected, abs=0.1)
+
+
+def test_points_are_cut_by_the_second_smallest_distance_before_the_depth():
+    """Three views of a cube's grid, each with its own edge: the definition, point by point."""
+    eyes = (4, 0, 0), (4, 1, 0), (0, 0.5, 4)
+    cameras = [look_at(eye, (0, 0, 0), rows=40, columns=40, field_of_view=0.6) for eye in eyes]
+    random = np.random.default_rng(3)
+    distances = random.uniform(-4, 4, (3, 40, 40)).astype(np.float32)
+    depths = np.full((3, 40, 40), 4.1, np.float32)
+    cell, origin, count = 0.05, np.full(3, -0.4), 17
+    hull = Hull(np.full((count,) * 3, 0.15, np.float32), origin, cell, np.array([[-0.4] * 3, [0.4] * 3]))
+    cut = hull.cut(FrontParts(cameras, distances, depths)).volume
+    point = np.indices((count,) * 3).reshape(3, -1).T * cell + origin
+    values = []
+    for camera, distance, depth in zip(cameras, distances, depths, strict=True):
+        pixels, away = camera.project(point)
+        value = interpolated(distance, pixels) * away / np.sqrt(abs(np.linalg.det(camera.intrinsics)))
+        near = np.rint(pixels).astype(int)
+        values.append(np.where(away < depth[near[:, 1], near[:, 0]], value, np.inf))
+    second = np.sort(values, axis=0)[1].reshape(hull.volume.shape)
+    assert (second < 0).sum() > 100
+    assert (second > 1).any()
+    # Smoothed by a cell afterwards: what is cut away, and what lies far from every cut, say the same.
+    wide = np.array(
+        [
+            second[max(0, i - 3) : i + 4, max(0, j - 3) : j + 4, max(0, k - 3) : k + 4].min()
+            for i, j, k in np.ndindex(second.shape)
+        ]
+    )
+    untouched = wide.reshape(second.shape) >= 0.15
+    np.testing.assert_array_equal(cut[untouched], hull.volume[untouched])
+    assert np.corrcoef(np.minimum(second, 0.15).ravel(), cut.ravel())[0, 1] > 0.5
+
+
+def interpolated(values, pixels):
+    column, row = pixels.T
+    i, j = row.astype(int), column.astype(int)
+    s, t = row - i, column - j
+    upper = values[i, j] * (1 - t) + values[i, j + 1] * t
+    return upper * (1 - s) + (values[i + 1, j] * (1 - t) + values[i + 1, j + 1] * t) * s
