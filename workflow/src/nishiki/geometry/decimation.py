@@ -120,19 +120,20 @@ def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray
     ends = np.stack([nodes, np.roll(faces, -1, axis=1).ravel()], axis=1)
     edge, uses = np.unique(ends.min(axis=1) * count + ends.max(axis=1), return_inverse=True, return_counts=True)[1:]
     is_open = uses[edge] == 1
+    edges, ends, borders = ends[(ends[:, 0] < ends[:, 1]) | is_open], ends[is_open], np.flatnonzero(is_open) // 3
     del edge, uses
     # quadrics of the planes of all triangles, and of planes across open edges
     normals = face_vectors(vertices, faces)
     sizes = np.linalg.norm(normals, axis=1)
     normals /= np.where(sizes > 0, sizes, 1)[:, None]
-    borders = np.flatnonzero(is_open & (sizes > 0)[np.arange(len(ends)) // 3])
-    along = vertices[ends[borders, 1]] - vertices[ends[borders, 0]]
+    ends, borders = (each[sizes[borders] > 0] for each in (ends, borders))
+    along = vertices[ends[:, 1]] - vertices[ends[:, 0]]
     lengths = np.linalg.norm(along, axis=1)
-    across = np.cross(along, normals[borders // 3]) / np.where(lengths > 0, lengths, 1)[:, None]
-    places, quadrics = np.concatenate([nodes, ends[borders].ravel()]), np.empty((count, 10))
+    across = np.cross(along, normals[borders]) / np.where(lengths > 0, lengths, 1)[:, None]
+    places, quadrics = np.concatenate([nodes, ends.ravel()]) if len(ends) else nodes, np.empty((count, 10))
     values = np.empty(len(places))
     blocks = values[: len(nodes)].reshape(-1, 3), values[len(nodes) :].reshape(-1, 2)
-    kinds = (normals, faces[:, 0], sizes / 6), (across, ends[borders, 0], lengths**2)
+    kinds = (normals, faces[:, 0], sizes / 6), (across, ends[:, 0], lengths**2)
     planes = [((*of.T, -(of * vertices[on]).sum(axis=1)), weights) for of, on, weights in kinds]
     for number, (i, j) in enumerate(PRODUCTS):  # one by one, which bounds the memory
         for block, (plane, weights) in zip(blocks, planes, strict=True):
@@ -144,7 +145,7 @@ def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray
     head, following = np.full(count, -1), np.full(len(nodes), -1)
     head[nodes[order]] = order
     following[order[1:][same]] = order[:-1][same]
-    return _collapse(vertices, faces, target, quadrics, (head, following), ends[(ends[:, 0] < ends[:, 1]) | is_open])
+    return _collapse(vertices, faces, target, quadrics, (head, following), edges)
 
 
 @njit(**JIT)
