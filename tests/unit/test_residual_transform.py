@@ -95,7 +95,7 @@ def test_gradient_of_chosen_coefficients_is_the_gradient_of_all_there(wavelet, l
     chosen = (rng.random(values.shape) < 0.02).astype(np.uint8)
     chosen[0, 0, 2] = 0
     chosen[1] = 0
-    every, some = transform.adjoint(values), transform.adjoint(values, chosen)
+    every, some = transform.adjoint(values), transform.adjoint(values, (chosen > 0).any(axis=(3, 4)))
     assert np.array_equal(some[chosen > 0], every[chosen > 0])
     assert np.isfinite(some).all()
 

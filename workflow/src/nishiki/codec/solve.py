@@ -263,8 +263,8 @@ def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit
     The gradient is computed only where coefficients are chosen.
     """
     left = data - operator.look(samples_of(block, held))
-    ridge = np.float32(effort.ridge)
-    ahead = block.adjoint(operator.spread(left).reshape(held.shape), chosen)
+    ridge, planes = np.float32(effort.ridge), chosen.view(bool).reshape(*chosen.shape[:3], -1).any(axis=3)
+    ahead = block.adjoint(operator.spread(left).reshape(held.shape), planes)
     energy = first = restrict(ahead, held, chosen, ridge)
     for step in range(effort.inner):
         if energy <= 1e-6 * first:
@@ -277,7 +277,7 @@ def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit
         add_scaled(held, stride, ahead)
         add_scaled(left, -stride, seen)
         if step + 1 < effort.inner:
-            gradient = block.adjoint(operator.spread(left).reshape(held.shape), chosen)
+            gradient = block.adjoint(operator.spread(left).reshape(held.shape), planes)
             before, energy = energy, restrict(gradient, held, chosen, ridge)
             add_scaled(gradient, np.float32(energy / before), ahead)
             ahead = gradient

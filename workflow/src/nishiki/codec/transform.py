@@ -145,6 +145,11 @@ class PlaneTransform:
             norm = 1.01 * float(np.linalg.norm(vector))
         return norm
 
+    @cached_property
+    def single(self) -> np.ndarray:
+        """The gains in single precision."""
+        return self.gains.astype(np.float32)
+
     @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns."""
@@ -357,14 +362,13 @@ class Block:
         _levels(out.reshape(-1, *out.shape[-2:]), self.plane, "synthesis")
         return along(self.views.T, along(self.lights.T, out, 1), 2)
 
-    def adjoint(self, values: np.ndarray, chosen: np.ndarray | None = None) -> np.ndarray:
+    def adjoint(self, values: np.ndarray, planes: np.ndarray | None = None) -> np.ndarray:
         """Apply the transpose of `inverse`: the gradient by the coefficients; `forward` where orthonormal.
 
-        chosen: of the coefficients' shape, uint8, 0 or 1: planes without any become zero.
+        planes (channels, lights, views) bool: those that are wanted; the others become zero.
         """
         needed = views = None
-        if chosen is not None:
-            planes = chosen.view(bool).reshape(*chosen.shape[:3], -1).any(axis=3)
+        if planes is not None:
             needed = planes.any(axis=2)
             views = np.repeat(planes.any(axis=1, keepdims=True), values.shape[1], axis=1)
         turned = along(self.lights, along(self.views, values, 2, views), 1, needed)
@@ -374,5 +378,5 @@ class Block:
             out /= self._gains(out.dtype)
         return out
 
-    def _gains(self, dtype) -> np.ndarray:
-        return self.plane.gains.astype(dtype)
+    def _gains(self, dtype: np.dtype) -> np.ndarray:
+        return self.plane.single if dtype == np.float32 else self.plane.gains.astype(dtype)
