@@ -26,6 +26,11 @@ PATIENT = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 settings.register_profile("same", derandomize=True, **PATIENT)
 settings.register_profile("search", derandomize=False, print_blob=True, **PATIENT)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+LONG_FILES = {
+    *("test_arrangement", "test_capture_convert", "test_corrections", "test_ingest_pairs", "test_ingest_store"),
+    *("test_object_brdf", "test_turn_estimate", "test_turntable_coherence", "test_weave_fit", "test_weave_yarns"),
+}
+"""Files of unit tests that take more than ten seconds: the last ones would keep one of two workers waiting."""
 PROJECT = Path(__file__).resolve().parents[1]
 
 
@@ -54,7 +59,7 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         (others if left_out & {mark.name for mark in item.iter_markers()} else chosen).append(item)
     config.hook.pytest_deselected(items=others)
-    items[:] = sorted(chosen, key=lambda item: item.path.parent.name != "workflow")
+    items[:] = sorted(chosen, key=lambda item: (item.path.parent.name != "workflow", item.path.stem not in LONG_FILES))
 
 
 @pytest.fixture(scope="session")
