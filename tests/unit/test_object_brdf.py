@@ -287,14 +287,14 @@ def test_radiometric_scale_does_not_matter(scale):
 def test_a_lamp_beside_the_camera_is_found_by_shading_and_gloss(place):
     """Within a fortieth of the camera's distance, with cast shadows and noise; a lamp at the camera stays there."""
     rng, cameras = np.random.default_rng(5), ring()
-    normals = rng.normal(size=(1500, 3)).astype(np.float32)
+    normals = rng.normal(size=(700, 3)).astype(np.float32)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    kd = rng.uniform(0.1, 0.8, (1500, 3)).astype(np.float32)
+    kd = rng.uniform(0.1, 0.8, (700, 3)).astype(np.float32)
     lighting = CaptureLamps("position", ((place[0] * DISTANCE / 4, place[1] * DISTANCE / 4, 0.0),))
-    values, visible = np.zeros((1500, len(cameras), 3), np.float32), np.zeros((1500, len(cameras)), bool)
+    values, visible = np.zeros((700, len(cameras), 3), np.float32), np.zeros((700, len(cameras)), bool)
     for k, camera in enumerate(cameras):
         lamp = lighting.lamp(camera)
-        parts = predict(kd, np.full_like(kd, 0.2), np.full(1500, 0.12), normals, normals, camera.centre, lamp)
+        parts = predict(kd, np.full_like(kd, 0.2), np.full(700, 0.12), normals, normals, camera.centre, lamp)
         values[:, k] = sum(parts)
         visible[:, k] = (normals * (camera.centre - normals)).sum(axis=1) > 0.2 * DISTANCE
     values[rng.random(visible.shape) < 0.03] = 0
