@@ -108,12 +108,11 @@ def keep_by_pursuit(
     logs, price, solutions = [], np.log(0.1 * scale), [None] * len(data)
     best, most = None, sum(values.size for values in residuals)
     for _ in range(PASSES):
-        starts = [None if solution is None else solution.coefficients for solution in solutions]
         solutions = [
             pursue(*arguments, price=float(np.exp(price)), bits=_one_bit, effort=effort, start=start)
-            for *arguments, start in zip(data, operators, blocks, curvature, starts, strict=True)
+            for *arguments, start in zip(data, operators, blocks, curvature, solutions, strict=True)
         ]
-        number = sum(np.count_nonzero(solution.coefficients) for solution in solutions)
+        number = sum(np.count_nonzero(solution) for solution in solutions)
         off = np.log(max(number, 1) / min(count, most))
         logs.append((price, off))
         if best is None or abs(off) <= abs(best[0]):
@@ -121,7 +120,7 @@ def keep_by_pursuit(
         if abs(off) <= COUNT_TOLERANCE:
             break
         price += np.clip(off / _slope(logs), -4, 4)
-    kept = [solution.coefficients for solution in best[1]]
+    kept = best[1]
     threshold = largest(kept, min(count, most))
     smaller = sum(float(np.sum(c[np.abs(c) < threshold].astype(np.float64) ** 2)) for c in kept)
     kept = [np.where(np.abs(c) >= threshold, c, np.float32(0)) for c in kept]

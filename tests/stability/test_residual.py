@@ -10,7 +10,7 @@ from nishiki.codec.allocate import psnr
 from nishiki.codec.design import extent_of
 from nishiki.codec.entropy import Model, decode, encode, pack, train, unpack
 from nishiki.codec.rate import expected_bits, quantise
-from nishiki.codec.solve import Footprints, Operator, Pursuit, curvatures, pursue
+from nishiki.codec.solve import Footprints, Operator, Pursuit, curvatures, pursue, samples_of
 from nishiki.codec.transform import Block, analysis_matrix, cosine_matrix, family, plane_transform
 from nishiki.errors import UserError
 
@@ -246,7 +246,8 @@ def _pursued(shape, pixels, exponent, kind):
             price=0.05 * step**2, effort=Pursuit(),
             bits=lambda c, step=step: expected_bits(c, step, block.plane.levels),
         )  # fmt: skip
-        found.append((solution.coefficients.astype(float) / scale, solution.error / scale**2))
+        solution = solution.astype(float) / scale
+        found.append((solution, np.sum((data - feet.look_up(samples_of(block, solution))) ** 2)))
     (plain, error), (scaled, other) = found
     if not np.isfinite(scaled).all() or error > np.sum(data**2) * (1 + 1e-5):
         return np.inf

@@ -183,8 +183,8 @@ def encode_parameters(
         weigh = partial(np.multiply, root)
         operator = Operator(weigh, weigh, float(share.max(initial=0)))
         shape, data = (len(planes), 1, 1, *planes.shape[1:]), planes[:, None] * root
-        solution = solve(data, operator, block, shape, threshold=threshold * step, iterations=ITERATIONS)
-        out[: len(planes), group] = quantise(solution.coefficients, step)[:, 0, 0]
+        found = solve(data, operator, block, shape, threshold=threshold * step, iterations=ITERATIONS)
+        out[: len(planes), group] = quantise(found, step)[:, 0, 0]
     return out
 
 

@@ -112,14 +112,6 @@ def bilinear_adjoint(values, corner, down, right, columns, out):
 
 
 @dataclass(frozen=True)
-class Solution:
-    """A solution: coefficients (channels, lights, views, T, T) float32; error: squared residual sum."""
-
-    coefficients: np.ndarray
-    error: float
-
-
-@dataclass(frozen=True)
 class Operator:
     """A and its adjoint on blocks (channels, lights * views, T, T), and the largest eigenvalue of A^T A."""
 
@@ -138,7 +130,7 @@ DESCENT = 4.0  # first threshold of `solve` over the last
 
 def solve(
     data: np.ndarray, operator: Operator, block: Block, shape: tuple[int, ...], *, threshold: float, iterations: int
-) -> Solution:
+) -> np.ndarray:
     """Solve for the coefficients of `data` (channels, n) or (channels, lights * views, T, T).
 
     threshold: smallest coefficient worth its price. shape: of the block (channels, lights, views, T, T).
@@ -146,8 +138,7 @@ def solve(
     dtype = data.dtype
     held = np.zeros(shape, dtype)
     if not iterations or operator.norm < np.finfo(np.float32).tiny:  # lest a step be infinite
-        left = data - operator.look(samples_of(block, held))
-        return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
+        return held
     ahead, momentum = held, 1.0
     pace = dtype.type(1 / (operator.norm * block.plane.bound))
     for step in range(iterations):
@@ -159,8 +150,7 @@ def solve(
         new = np.where(np.abs(stepped) <= dtype.type(level), dtype.type(0), stepped)
         ahead = new + dtype.type((momentum - 1) / following) * (new - held)
         held, momentum = new, following
-    left = data - operator.look(samples_of(block, held))
-    return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
+    return held
 
 
 def samples_of(block: Block, coefficients: np.ndarray) -> np.ndarray:
@@ -225,7 +215,7 @@ def pursue(
     bits: Callable[[np.ndarray], np.ndarray],
     effort: Pursuit,
     start: np.ndarray | None = None,
-) -> Solution:
+) -> np.ndarray:
     """Find coefficients (channels, lights, views, T, T) float32 of pixel values `data` (channels, n) float32.
 
     curvature: (lights, views, T, T), see `curvatures`; price: squared error that a bit is worth; bits: expected of
@@ -237,7 +227,7 @@ def pursue(
     shape = (len(data), *curvature.shape)
     held = np.zeros(shape, np.float32) if start is None else start.reshape(shape).astype(np.float32)
     if not effort.rounds or curvature.max(initial=0) <= 0:
-        return Solution(np.zeros(shape, np.float32), float(np.sum(data.astype(np.float64) ** 2)))
+        return np.zeros(shape, np.float32)
     left = data if start is None else data - operator.look(samples_of(block, held))
     chosen, cost = (held != 0).astype(np.uint8), np.ones(shape, np.float32)
     if start is None:
@@ -254,7 +244,7 @@ def pursue(
             add_scaled(gradient, np.float32(-effort.ridge), held)
         choose(held, gradient, curvature, cost, chosen, np.float32(level))
         left = settle(held, chosen, data, operator, block, effort)
-    return Solution(held, float(np.sum(left.astype(np.float64) ** 2)))
+    return held
 
 
 def settle(held, chosen, data, operator: Operator, block: Block, effort: Pursuit) -> np.ndarray:

@@ -166,8 +166,8 @@ def encode_tile(
     bits = partial(expected_bits, step=design.step, levels=block.plane.levels)
     left = seen.values - seen.feet.look_up(model_of(maps, seen, scene, design)) if design.model else seen.values
     data = (design.mix() @ left).astype(np.float32)
-    solution = pursue(data, operator, block, curvature, price=price, bits=bits, effort=effort.pursuit, start=start)
-    integers = quantise(solution.coefficients, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
+    found = pursue(data, operator, block, curvature, price=price, bits=bits, effort=effort.pursuit, start=start)
+    integers = quantise(found, design.step, dead_zone=effort.dead_zone, rounding=effort.rounding)
     after = data - operator.look(samples_of(block, (integers * np.float32(design.step)).astype(np.float32)))
     errors = [float(np.sum(a.astype(np.float64) ** 2)) for a in (after, data)]
     residual = integers.reshape(design.residual_shape(seen.extent))
