@@ -106,9 +106,6 @@ class Prepared:
     values: np.ndarray = field(init=False)  # (lights, pixels, channels): in the capture's encoding
 
 
-LENDERS = 3  # views that lend to pictures which follow one another
-
-
 @dataclass(frozen=True)
 class DecodedTile:
     """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places (T * T, 3), residual or None.
@@ -130,6 +127,7 @@ class DecodedTile:
         return sum(values.nbytes for values in arrays) + (self.residual.nbytes if self.residual else 0) + lent
 
 
+LENDERS = 3  # views that lend to pictures which follow one another
 LIFT = 0.25
 """Offset of rays above the surface, in median edges of the mesh. Normals are smooth and triangles flat: without it
 triangles that lie a little turned away from the lamp would be in their neighbours' shadow. What is smaller than an edge

@@ -133,8 +133,7 @@ def run(context: Context) -> dict:
             def compete(point: RatePoint) -> bool:
                 return pictures is None or rate(point) > point_of(pictures).psnr_db - LATER_DB
 
-            found = {"start": start, "slope": slope, "passes": settings.passes}
-            encoded = find_step(run_pass, miss, compete=compete, **found)
+            encoded = find_step(run_pass, miss, start=start, slope=slope, passes=settings.passes, compete=compete)
             alike = None if pictures is None else rate(point_of(encoded))
             if alike is not None and point_of(pictures).psnr_db > alike:
                 encoded, alike = coarse, max(alike, expected or 0)  # a first pass is not all that texels reach
