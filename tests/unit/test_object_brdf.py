@@ -190,6 +190,35 @@ def test_another_material_is_predicted_in_views_that_no_fit_saw(noise, least_db)
     assert -10 * np.log10(squares / count) > least_db
 
 
+def test_saturated_highlights_bring_views_nearer_that_no_fit_saw():
+    """The photographs end at 0.9, and their highlights above; hidden views are judged with their values cut there."""
+    tiles, lighting = scene(ggx(roughness=0.28, specular=0.06))
+    hidden, errors = np.arange(VIEWS) % 3 == 1, {}
+    full = {n: t.visible & (t.values.max(axis=-1) > 0.9) for n, t in tiles.items()}
+    assert 0.01 < np.mean([f[t.visible].mean() for f, t in zip(full.values(), tiles.values(), strict=True)]) < 0.1
+    for told in (False, True):
+        cut = {
+            n: replace(
+                t,
+                visible=t.visible & ~full[n] & ~hidden[:, None, None],
+                values=np.minimum(t.values, np.float32(0.9)),
+                saturated=full[n] & ~hidden[:, None, None] if told else None,
+            )
+            for n, t in tiles.items()
+        }
+        found, _ = fitted(cut, lighting)
+        squares = []
+        for n, t in tiles.items():
+            for view in np.flatnonzero(hidden):
+                seen = t.visible[view]
+                difference = capture(lighting).predict(found[n], t, int(view), seen).clip(None, 0.9)
+                squares.append(((difference - t.values[view][seen].clip(None, 0.9)) ** 2).ravel())
+        errors[told] = -10 * np.log10(np.concatenate(squares).mean())
+    assert errors[True] > errors[False] + 0.5
+    for n, parameters in found.items():  # the body follows from what is not saturated
+        assert np.median(np.abs(parameters.kd - colours(tiles[n].positions))) < 0.05
+
+
 def test_the_lobe_is_worth_decibels():
     tiles, lighting = scene(ggx(), noise=0.003)
     _, report = fitted(tiles, lighting)

@@ -252,14 +252,18 @@ def test_store_round_trip(scene, tmp_path):
     assert [c.name for c in texels.cameras] == [c.name for c in cameras]
     np.testing.assert_array_equal(texels.atlas.corners, atlas.corners)
     seen_pixels = [np.zeros_like(m) for m in masks]
-    errors = []
+    errors, brightest, dimmest = [], 0.0, 9.0
     for tile in range(texels.tiles):
         stack, visible = texels.read("total", tile), texels.visible(tile)
         positions, _, inside = texels.geometry(tile)
         assert stack.shape == (2 * views, SIZE, SIZE, 3)
         assert not visible[:, ~inside].any()
         assert not visible[texels.held_out].any()
-        assert (stack[~visible] == 0).all()
+        saturated = texels.bounds(tile)
+        assert not (visible & saturated).any()
+        assert (stack[~visible & ~saturated] == 0).all()
+        brightest = max(brightest, float(stack[visible].max(initial=0)))
+        dimmest = min(dimmest, float(stack[saturated].max(axis=-1).min(initial=9)))
         np.testing.assert_allclose(stack[views:], 2 * stack[:views], atol=1e-6)
         truth = np.broadcast_to(colour(positions), stack[:views].shape)
         assert np.abs(stack[:views] - truth)[visible[:views]].max(initial=0) < 0.03

@@ -67,13 +67,20 @@ class Texels:
         return np.tile(np.isin(self.views, self.hold_out), len(self.lights))
 
     def read(self, component: str, tile: int) -> np.ndarray:
-        """Read texels (M, T, T, channels) float32 linear of a tile in every observation, 0 where not visible."""
+        """Read texels (M, T, T, channels) float32 linear of a tile in every observation, 0 where not seen."""
         self._expect_component(component)
         return np.stack([self._read_tile(f"values/{component}", tile, o) for o in range(self.observations)])
 
     def visible(self, tile: int) -> np.ndarray:
-        """Read where `read` has a value: (M, T, T) bool."""
-        return np.stack([self._read_tile("visible", tile, o) for o in range(self.observations)]) != 0
+        """Read where `read` has a valid value: (M, T, T) bool."""
+        return self._marks(tile) == 1
+
+    def bounds(self, tile: int) -> np.ndarray:
+        """Read where `read` has a lower bound, saturated in the photograph: (M, T, T) bool."""
+        return self._marks(tile) == 2
+
+    def _marks(self, tile: int) -> np.ndarray:
+        return np.stack([self._read_tile("visible", tile, o) for o in range(self.observations)])
 
     def turn_normals(self, mesh: Mesh) -> None:
         """Take the normals from a mesh: the surface that the texels are of, with normals of its own."""

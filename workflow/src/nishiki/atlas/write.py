@@ -20,6 +20,7 @@ from nishiki.threads import in_threads
 
 READ_AHEAD_MIB = 64
 """Memory that a reader keeps for one quantity over all observations."""
+SATURATED = 0.9  # of the brightest valid pixel, from which a pixel that is not valid is a saturated one
 
 
 @dataclass(frozen=True)
@@ -146,7 +147,8 @@ class TexelsWriter:
     def pictures(self, view: ViewGeometry, light: int, pictures: dict[str, np.ndarray], valid: np.ndarray) -> dict:
         """Store the pictures of one view under one light; return the counts visible and inside.
 
-        pictures (rows, columns, channels) linear by component, valid (rows, columns) bool.
+        pictures (rows, columns, channels) linear by component, valid (rows, columns) bool. Where the total is the only
+        one, pixels that are not valid, and as bright as the brightest valid ones, count as saturated.
         """
         places, camera = view.places, self.cameras[view.view]
         observation = light * self.views + view.view
@@ -155,7 +157,10 @@ class TexelsWriter:
         for name in self.components:
             self.group[f"pixels/values/{name}"][light, part] = pictures[name][places.row, places.column]
         held = camera.name in self.hold_out
-        usable = np.zeros_like(valid) if held else view.shown & valid
+        bright = pictures["total"].max(axis=-1) if self.components == ("total",) else np.zeros(valid.shape, np.float32)
+        saturated = ~valid & (bright >= SATURATED * bright[valid].max(initial=0)) & (bright > 0)
+        usable = np.zeros_like(valid) if held else view.shown & (valid | saturated)
+        unsure = [saturated[..., None].astype(np.float32)] if saturated.any() else []
 
         def one(group: slice) -> int:
             results = sample_view(
@@ -164,15 +169,18 @@ class TexelsWriter:
                 self.inside[group],
                 camera=camera,
                 depth=np.where(usable, view.raster.depth, np.float32(np.inf)),
-                pictures=[pictures[name] for name in self.components],
+                pictures=[*(pictures[name] for name in self.components), *unsure],
             )
-            self.group["visible"][observation, group] = results[0].visible
+            seen = results[0].visible.astype(np.uint8)
+            if unsure:
+                seen += results.pop().values[..., 0] > 0
+            self.group["visible"][observation, group] = seen
             for name, sampled in zip(self.components, results, strict=True):
                 self.group[f"values/{name}"][observation, group] = sampled.values
                 if name == "total":
-                    self.sums[group] += sampled.values
-                    self.counts[group] += sampled.visible
-            return int(results[0].visible.sum())
+                    self.sums[group] += sampled.values * (seen == 1)[..., None]
+                    self.counts[group] += seen == 1
+            return int((seen == 1).sum())
 
         return {"visible": sum(in_threads(one, self.groups())), "inside": int(self.inside.sum())}
 

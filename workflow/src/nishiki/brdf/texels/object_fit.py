@@ -10,6 +10,7 @@ nodes of a lattice; texels are read anew in every pass.
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -42,6 +43,7 @@ class ObjectFit:
     at_bound_share: float = 0.0  # sigma at an end of WIDTHS
     median_sigma: float | None = None  # radians, of the texels with a highlight
     pull: float | None = None  # of PULLS; None without gloss
+    saturated: bool = False  # saturated values count as if they were measured
 
 
 def fit_object(
@@ -64,11 +66,15 @@ def fit_object(
     # Far from the world's origin cells are counted from a multiple of FAR cells near the first texel.
     origin = FAR * edge * np.rint(first_texel.astype(float).sum(axis=0) / (FAR * edge))
     lattice = Lattice(edge, tuple(origin.tolist()))
-    pull = _choose_pull(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
-    gloss = _Gloss.of(_gather(read, tiles, capture, lattice, threads), pull)
+    pull, counts = _choose_pull(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
+
+    def read_tile(number: int) -> Tile:
+        return read(number).hide([], saturated=not counts)
+
+    gloss = _Gloss.of(_gather(read_tile, tiles, capture, lattice, threads), pull)
 
     def finish(k: int) -> tuple[np.ndarray, float, int, np.ndarray]:
-        tile = read(tiles[k])
+        tile = read_tile(tiles[k])
         parameters = _fit_tile(tile, *_observe(tile, capture), gloss)
         write(tiles[k], parameters)
         shown = (parameters.flags & (TexelFlag.OUTSIDE | TexelFlag.NO_HIGHLIGHT)) == 0
@@ -79,43 +85,51 @@ def fit_object(
     return replace(
         _totals([part[:3] for part in finished]),
         pull=pull,
+        saturated=counts,
         median_sigma=float(np.median(sigmas)) if sigmas.size else None,
     )
 
 
 def _choose_pull(
     read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, threads: int
-) -> float:
+) -> tuple[float, bool]:
     """Choose the pull whose fit to two thirds of the views predicts the others best, on some tiles.
 
     Of three captured views in a row the middle one is hidden, and predicted by the model and the mean of its residuals
-    in the two others.
+    in the two others. The second choice is whether saturated values count as if they were measured: they lower a lobe,
+    but tell of one that only its flanks would show.
     """
-    captured = np.flatnonzero(np.any([read(number).visible.any(axis=(1, 2)) for number in tiles], axis=0))
+    some = [read(number) for number in tiles]
+    captured = np.flatnonzero(np.any([tile.visible.any(axis=(1, 2)) for tile in some], axis=0))
     rows = list(zip(captured[::3], captured[1::3], captured[2::3], strict=False))
+    saturated = any(tile.saturated is not None and tile.saturated.any() for tile in some)
+    del some
 
-    def read_tile(number: int) -> Tile:
-        tile = read(number)
-        visible = tile.visible.copy()
-        visible[[middle for _, middle, _ in rows]] = False
-        return replace(tile, visible=visible)
+    def read_tile(number: int, counts: bool) -> Tile:
+        return read(number).hide([middle for _, middle, _ in rows], saturated=not counts)
 
-    around = _gather(read_tile, tiles, capture, lattice, threads)
-    glosses = [_Gloss.of(around, pull) for pull in PULLS]
+    trials = []
+    for counts in (False, True)[: 1 + saturated]:
+        around = _gather(partial(read_tile, counts=counts), tiles, capture, lattice, threads)
+        trials += [(counts, _Gloss.of(around, pull)) for pull in PULLS]
 
     def measure_errors(number: int) -> np.ndarray:
-        tile, hidden = read(number).joined, read_tile(number)
-        observed, errors = _observe(hidden, capture), np.zeros(len(PULLS))
-        for place, gloss in enumerate(glosses):
-            fitted = _fit_tile(hidden, *observed, gloss)
+        tile, errors = read(number).joined, np.zeros(len(trials))
+        observed = [
+            (hidden, _observe(hidden, capture)) for hidden in (read_tile(number, False), read_tile(number, True))
+        ]
+        for place, (counts, gloss) in enumerate(trials):
+            hidden, observations = observed[counts]
+            fitted = _fit_tile(hidden, *observations, gloss)
             for row in rows:
-                seen = tile.visible[list(row)].all(axis=0) & tile.inside
+                seen = tile.usable[list(row)].all(axis=0) & tile.inside
                 before, here, after = (capture.subtract_prediction(fitted, tile, int(view), seen) for view in row)
                 errors[place] += np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64)
         return errors
 
-    total = sum(in_threads(measure_errors, tiles, threads), np.zeros(len(PULLS)))
-    return PULLS[int(np.argmin(total))]
+    total = sum(in_threads(measure_errors, tiles, threads), np.zeros(len(trials)))
+    counts, gloss = trials[int(np.argmin(total))]
+    return gloss.pull, counts
 
 
 def spacing(tiles: list[Tile]) -> float:
@@ -176,13 +190,13 @@ def _fit_tile(tile: Tile, total: TileSamples, profile: LobeProfile, gloss: _Glos
     columns[here] += profile.columns
     widths, strengths = LobeProfile.from_columns(columns).solve()
     widths = np.where(widths > 0, widths, np.float32(gloss.sigma))
-    lobes = texel_fit.lobes_of(total, widths[here])
+    lobes, sure = texel_fit.lobes_of(total, widths[here]), total.sure
     kd, ks = (np.zeros((tile.inside.size, channels), np.float32) for _ in range(2))
     sigma, flags = np.zeros(tile.inside.size, np.float32), np.full(tile.inside.size, TexelFlag.OUTSIDE, np.uint8)
-    body = texel_fit.lambert(total, lobes[..., None] * strengths[here][:, None])
+    body = texel_fit.lambert(sure, lobes[..., None] * strengths[here][:, None])
     # Without a body (K_d would be negative) all light is the lobe's, where an observation shows the lobe.
-    alone = texel_fit.lambert(replace(total, diffuse=lobes.astype(np.float32)))
-    shown = np.einsum("ps,ps,ps->p", total.weights, lobes, lobes) > 0
+    alone = texel_fit.lambert(replace(sure, diffuse=lobes.astype(np.float32)))
+    shown = np.einsum("ps,ps,ps->p", sure.weights, lobes, lobes) > 0
     capped = shown[:, None] & (body <= 0)
     strengths[here] = np.where(capped, np.minimum(strengths[here], alone), strengths[here])
     kd[total.texel] = body
@@ -192,9 +206,9 @@ def _fit_tile(tile: Tile, total: TileSamples, profile: LobeProfile, gloss: _Glos
     nearest = np.abs(np.log(WIDTHS) - np.log(widths[here, None])).argmin(axis=1)
     weight = total.weights.sum(axis=1) / np.maximum(total.seen, 1)
     informed = profile.power[np.arange(len(here)), nearest] > LEAST_POWER * weight
-    told = np.where(total.seen < 2, TexelFlag.ONCE, 0) | np.where(informed, 0, TexelFlag.KS_UNCONSTRAINED)
+    told = np.where(sure.seen < 2, TexelFlag.ONCE, 0) | np.where(informed, 0, TexelFlag.KS_UNCONSTRAINED)
     told |= np.where(near, 0, TexelFlag.NO_HIGHLIGHT)
-    flags[total.texel] = np.where(total.seen > 0, told, flags[total.texel])
+    flags[total.texel] = np.where(sure.seen > 0, told, flags[total.texel])
     flags = flags.reshape(shape)
     known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0
     joined = np.concatenate([ks.reshape(*shape, channels), sigma.reshape(*shape, 1)], axis=-1)

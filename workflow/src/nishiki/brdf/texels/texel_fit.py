@@ -28,7 +28,8 @@ class TileSamples:
     texel (points,) int32: row * T + column.  values (points, slots, channels).  diffuse (points, slots): what
     multiplies K_d.  attenuation: what multiplies K_s exp(..), 0 where the lamp is behind.  alpha (points, slots):
     radians.  weights: cos(theta_r), times the squared slope of the encoding where asked; 0 in unused slots.
-    view (points, slots) int32: which observation a slot holds, -1 none.
+    view (points, slots) int32: which observation a slot holds, -1 none.  saturated (points, slots) bool: of which the
+    value is a lower bound.
     """
 
     texel: np.ndarray
@@ -38,6 +39,14 @@ class TileSamples:
     alpha: np.ndarray
     weights: np.ndarray
     view: np.ndarray
+    saturated: np.ndarray | None = None
+
+    @property
+    def sure(self) -> "TileSamples":
+        """The same samples, saturated ones without a weight."""
+        if self.saturated is None:
+            return self
+        return replace(self, weights=np.where(self.saturated, np.float32(0), self.weights))
 
     @property
     def seen(self) -> np.ndarray:
@@ -118,6 +127,22 @@ class Tile:
     normals: np.ndarray
     inside: np.ndarray  # (T, T)
     specular: np.ndarray | None = None
+    saturated: np.ndarray | None = None  # (M, T, T): not visible, but a lower bound is known; None: nowhere
+
+    @property
+    def usable(self) -> np.ndarray:
+        """Visible or saturated (M, T, T)."""
+        return self.visible if self.saturated is None else self.visible | self.saturated
+
+    def hide(self, observations: list[int], *, saturated: bool) -> "Tile":
+        """Return the tile without some observations, and without what is saturated if asked."""
+        visible = self.visible.copy()
+        visible[observations] = False
+        if saturated or self.saturated is None:
+            return replace(self, visible=visible, saturated=None)
+        bounds = self.saturated.copy()
+        bounds[observations] = False
+        return replace(self, visible=visible, saturated=bounds)
 
     @property
     def joined(self) -> "Tile":
@@ -176,10 +201,14 @@ class CaptureViews:
 
     def observe(self, tile: Tile) -> tuple[TileSamples, TileSamples | None]:
         """Gather the tile's observations, and those of its specular component where it has one."""
-        area = tile.visible & tile.inside[None]
+        area = tile.usable & tile.inside[None]
         arguments = (area, tile.positions, tile.normals, self.centres, self.lamps)
         if tile.specular is None:
-            return gather(tile.values, *arguments, encoding=self.encoding), None
+            found = gather(tile.values, *arguments, encoding=self.encoding)
+            if tile.saturated is None:
+                return found, None
+            flags = _pick(tile.saturated[..., None], found.texel, found.view)[..., 0] > 0
+            return replace(found, saturated=flags), None
         bright = tile.values + tile.specular
         first, second = (
             gather(part, *arguments, encoding=self.encoding, bright=bright) for part in (tile.values, tile.specular)
@@ -199,9 +228,15 @@ class CaptureViews:
         return total, count
 
     def subtract_prediction(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
-        """Subtract the encoded total radiance of a joined tile from the predicted one, as `predict`."""
+        """Subtract the encoded total radiance of a joined tile from the predicted one, as `predict`.
+
+        More than a saturated value is no error.
+        """
         found = encode(self.predict(parameters, tile, observation, texels), self.encoding)
-        return found - encode(tile.values[observation][texels], self.encoding)
+        error = found - encode(tile.values[observation][texels], self.encoding)
+        if tile.saturated is None:
+            return error
+        return np.where(tile.saturated[observation][texels][..., None], np.minimum(error, 0), error)
 
     def predict(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
         """Predict total radiance (..., channels) of one observation of a tile, or of texels (an index into (T, T))."""

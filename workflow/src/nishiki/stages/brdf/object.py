@@ -128,6 +128,7 @@ def reader(texels: Texels, separated: bool, hold_out: tuple[str, ...]):
         if separated:
             values, specular = texels.read("diffuse", tile), texels.read("specular", tile)
             return Tile(values, visible, positions, normals, inside, specular)
-        return Tile(texels.read("total", tile), visible, positions, normals, inside)
+        saturated = texels.bounds(tile) & kept[:, None, None]
+        return Tile(texels.read("total", tile), visible, positions, normals, inside, saturated=saturated)
 
     return read

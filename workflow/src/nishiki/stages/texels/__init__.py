@@ -38,7 +38,7 @@ LIMITS = (
 )
 
 
-class TexelsSettings(Guarded, stage="texels", version=2, limits=LIMITS):
+class TexelsSettings(Guarded, stage="texels", version=3, limits=LIMITS):
     """Charts and tiles of the surface, density of its samples, and limits of visibility."""
 
     texels_per_pixel: float = Field(
