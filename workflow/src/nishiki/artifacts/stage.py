@@ -335,12 +335,6 @@ def _zarr(path: Path, name: str) -> Iterator[str]:
     yield _describe_forbidden(name, in_threads(block, written), nan_means=bool(array.attrs.get("nan")))
 
 
-def _sum_is_finite(values: np.ndarray) -> bool:
-    """Check whether values are finite by their sum: one pass without a mask. An overflow costs a second look only."""
-    with np.errstate(all="ignore"):
-        return bool(np.isfinite(np.sum(values, dtype=np.float32 if values.dtype.itemsize == 2 else None)))
-
-
 def _words(path: Path, name: str, pattern: str | re.Pattern) -> Iterator[str]:
     match = re.search(pattern, path.read_text(encoding="utf-8", errors="replace"))
     if match:
@@ -352,7 +346,9 @@ def _describe_forbidden(name: str, blocks: Iterable[tuple[Place, np.ndarray]], *
     tests = {"infinite": np.isinf} | ({} if nan_means else {"NaN": np.isnan})
     counts, firsts = Counter[str](), dict[str, Place]()
     for start, values in blocks:
-        for word, test in tests.items() if not _sum_is_finite(values) else ():
+        with np.errstate(all="ignore"):  # one pass without a mask; an overflow of the sum costs a second look only
+            is_finite = np.isfinite(np.sum(values, dtype=np.float32 if values.dtype.itemsize == 2 else None))
+        for word, test in tests.items() if not is_finite else ():
             if len(places := np.argwhere(test(values))):
                 counts[word] += len(places)
                 firsts.setdefault(word, tuple((places[0] + np.array(start, int)).tolist()))

@@ -73,7 +73,9 @@ class Views(StoredArrays):
         gain = self.gain[frame // (len(self.views) * len(self.states))] * np.float32(self.attributes["scale"][frame])
         fields = gain[None], self.dark[frame if len(self.dark) > 1 else 0][None], self._usable
         edges = picture_edges(self.shape, self.attributes["white_block"])
-        (values,), (valid,) = decode_codes(codes[None], (self.lut, self._saturated, ANY_CODE), fields, edges)
+        code = self.attributes["saturation_code"]
+        limit = self.dtype.type(code) if self.dtype.kind == "u" else np.float32(np.inf if code is None else code)
+        (values,), (valid,) = decode_codes(codes[None], (self.lut, limit, ANY_CODE), fields, edges)
         return values, valid
 
     def codes(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:
@@ -125,11 +127,6 @@ class Views(StoredArrays):
     @cached_property
     def _usable(self) -> np.ndarray:
         return np.ones(self.shape, np.uint8) if self.defect is None else (~self.defect).astype(np.uint8)
-
-    @property
-    def _saturated(self) -> np.number:
-        code = self.attributes["saturation_code"]
-        return self.dtype.type(code) if self.dtype.kind == "u" else np.float32(np.inf if code is None else code)
 
 
 def largest_value(views: Views) -> float | None:
