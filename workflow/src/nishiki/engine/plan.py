@@ -120,7 +120,13 @@ def make_plan(scene: Scene, facts: SceneFacts, fields: Mapping[str, Plan] = Mapp
         for name, stage in chain.items()
         if name in needed
     }
-    unused = _unused_packages(chain, packages, facts, settings)
+    loaded = {package for names in packages.values() for package in names}
+    unused: dict[str, str] = {}  # optional packages of the chain, with reasons
+    for each in chain.values():
+        for package in each.libraries:
+            if package in EXTRAS and package not in loaded and package not in unused:
+                why = idle_reason(each, package, facts, settings) if each.name in packages else None
+                unused[package] = why or f"{each.name} is not in the plan"
     keys = {"capture": facts.capture_digest}
     stages: dict[str, PlannedStage] = {}
     for name in packages:
@@ -174,19 +180,6 @@ def _read_by_ingest(
         without += tuple(f"{LIGHT}{name}" for name in held_out)
         named.append(f"{len(held_out)} photographs under the lights held out")
     return ingest.model_copy(update={"without": without}), reasons | dict.fromkeys(named, UNREAD)
-
-
-def _unused_packages(
-    chain: dict[str, Stage], packages: dict[str, tuple[str, ...]], facts: SceneFacts, settings: dict[str, Closed]
-) -> dict[str, str]:
-    """List the optional packages of the chain that no stage of the plan loads, with reasons."""
-    loaded, unused = {name for names in packages.values() for name in names}, {}
-    for stage in chain.values():
-        for package in stage.libraries:
-            if package in EXTRAS and package not in loaded and package not in unused:
-                reason = idle_reason(stage, package, facts, settings) if stage.name in packages else None
-                unused[package] = reason or f"{stage.name} is not in the plan"
-    return unused
 
 
 def held_out_of(choice: str | tuple[str, ...], scene: Scene, facts: SceneFacts) -> tuple[str, ...]:
