@@ -17,10 +17,10 @@ from nishiki.capture.options import ConvertOptions
 from nishiki.capture.pairing import find_bands
 from nishiki.capture.rti_projects import (
     CROPPED,
+    RELIGHT_SUFFIXES,
     find_project_lights,
     find_project_photographs,
     find_relight,
-    is_relight,
     read_relight,
 )
 from nishiki.capture.spheres.optics import direction_from_sphere
@@ -154,7 +154,7 @@ def read_with_lights_file(source: Path, file: Path, options: ConvertOptions) -> 
 
 def state_lights(source: Path, file: Path, options: ConvertOptions) -> StatedLights:
     """Read a lights file of any kind for the photographs in a folder or in those below it."""
-    if is_relight(file):
+    if (file.suffix or file.name).lower() in RELIGHT_SUFFIXES:
         return read_relight(file, options.lights_kind, options.width_mm)
     folders = [source, *(path for path in source.iterdir() if path.is_dir())] if source.is_dir() else []
     present = {path.name for folder in folders for path in files_with(folder, IMAGE_SUFFIXES)}

@@ -34,12 +34,7 @@ from nishiki.formats.text_tables import expect_rows, reading
 
 REMEDY = "Save the project again in Relight with its directions, or export a .lp file"
 CROPPED = "project-crop"
-SUFFIXES = (".relight", ".json", ".dome")
-
-
-def is_relight(path: Path) -> bool:
-    """Check whether a lights file is one of Relight's, by its suffix, or by its name alone."""
-    return (path.suffix or path.name).lower() in SUFFIXES
+RELIGHT_SUFFIXES = (".relight", ".json", ".dome")
 
 
 def find_relight(source: Path) -> Path | None:
