@@ -211,18 +211,15 @@ class References:
 
     def problems(self) -> Iterator[Damage]:
         """Yield artifacts in a wrong place, and upstream artifacts that are lost or have another content."""
-        for folder, (scene, stage) in self._stamps.items():
-            yield from self._find_misplaced(folder, scene, stage)
-            if "." not in folder.name:
-                yield from self._lost(folder)
-
-    def _find_misplaced(self, folder: Path, scene: str, stage: str) -> Iterator[Damage]:
         from nishiki.stages.table import CHAIN
 
-        if stage != folder.parent.name and folder.parent.name in CHAIN:
-            yield Damage(folder, "misplaced", f"made by stage {stage}, lies in {folder.parent.name}", folder)
-        elif (folder.parents[1] / "current").is_dir() and scene != folder.parents[1].name:
-            yield Damage(folder, "misplaced", f"of scene {scene}, lies in {folder.parents[1].name}", folder)
+        for folder, (scene, stage) in self._stamps.items():
+            if stage != folder.parent.name and folder.parent.name in CHAIN:
+                yield Damage(folder, "misplaced", f"made by stage {stage}, lies in {folder.parent.name}", folder)
+            elif (folder.parents[1] / "current").is_dir() and scene != folder.parents[1].name:
+                yield Damage(folder, "misplaced", f"of scene {scene}, lies in {folder.parents[1].name}", folder)
+            if "." not in folder.name:
+                yield from self._lost(folder)
 
     def _lost(self, folder: Path) -> Iterator[Damage]:
         for stage, (key, digest) in self._upstream[folder].items():
