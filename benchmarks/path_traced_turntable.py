@@ -38,8 +38,8 @@ OBJECTS = {  # name: kind, seed, roughness
     "boat": ("unseen", 14, 0.45),
     "jug": ("tuned", 15, 0.4),
     "stool": ("tuned", 16, 0.5),
-    "teapot": ("unseen", 17, 0.35),
-    "chair": ("unseen", 18, 0.5),
+    "teapot": ("tuned", 17, 0.35),
+    "chair": ("tuned", 18, 0.5),
 }
 HOLES = {"ring": 1, "mug": 1, "jug": 1, "stool": 4, "teapot": 1, "chair": 1}
 

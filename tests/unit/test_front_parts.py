@@ -1,11 +1,13 @@
 """Parts before the rest of an object: cut where photographs show the rest beside them, left alone elsewhere."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from matt_bodies import photographed, turned
 
 from nishiki.geometry.camera import look_at
-from nishiki.geometry.front_parts import edge_distance, find_front_parts
+from nishiki.geometry.front_parts import edge_distance, find_front_parts, select_border_regions
 from nishiki.geometry.hull import VOTES, FrontParts, Hull, carve
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.placement import agreement, outline_of
@@ -38,6 +40,8 @@ def test_a_post_before_a_drum_becomes_as_thin_as_it_is():
     pixel = scene.pixel_at(4.0)
     assert before > 0.14 + 3 * pixel
     assert after == pytest.approx(0.14, abs=2.5 * pixel)
+    post = cut.mesh.vertices[(cut.mesh.vertices[:, 0] > 0.6) & (np.abs(cut.mesh.vertices[:, 2]) < 0.1), 1]
+    assert 0.5 * (post.min() + post.max()) == pytest.approx(0, abs=0.5 * pixel)
     assert VOTES <= len(parts.cameras) < len(scene.cameras) / 2
     facts = shape_of(without_small_parts(cut.mesh)[0])
     assert (facts.parts, facts.genus) == (2, 0)
@@ -61,6 +65,26 @@ def test_what_one_view_says_alone_cuts_nothing():
     alone = FrontParts(parts.cameras[:1], parts.distances[:1], parts.depths[:1])
     assert VOTES == 2
     assert hull.cut(alone) is hull
+
+
+def test_regions_at_the_border_stay_where_they_are_and_specks_go():
+    part = np.zeros((20, 20), bool)
+    part[3:17, 3:17] = True
+    beside = np.zeros_like(part)
+    beside[3:17, 3:6] = True
+    speckled = beside.copy()
+    speckled[10, 12] = True  # a speck
+    speckled[8:11, 9:12] = True  # a region within the part
+    np.testing.assert_array_equal(select_border_regions(speckled, part), beside)
+
+
+def test_with_few_views_nothing_is_cut():
+    scene = photographed(post_and_drum(), elevation=0.35, size_px=1000)
+    few = replace(scene, pictures=scene.pictures[::4], silhouettes=scene.silhouettes[::4], cameras=scene.cameras[::4])
+    hull = carve(list(few.silhouettes), few.cameras, cells=48)
+    dark = replace(few, pictures=np.zeros_like(few.pictures))
+    for shown in (few, dark):
+        assert find_front_parts(hull.mesh, shown).pixels_beside() == {}
 
 
 def test_distance_to_the_edge_against_its_definition():

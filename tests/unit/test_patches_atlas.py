@@ -236,7 +236,7 @@ def write(folder, scene, *, lights=("",), hold_out=()):
         valid = np.random.default_rng(index).random(view.shown.shape) > 0.01
         masks.append(valid & view.shown)
         for light in range(len(lights)):
-            writer.pictures(view, light, {"total": picture * (1 + light)}, valid)
+            writer.pictures(view, light, {"total": picture * (1 + light)}, valid, ~valid & (picture[..., 0] > 0.5))
     return writer.finish(), masks
 
 
@@ -252,7 +252,7 @@ def test_store_round_trip(scene, tmp_path):
     assert [c.name for c in texels.cameras] == [c.name for c in cameras]
     np.testing.assert_array_equal(texels.atlas.corners, atlas.corners)
     seen_pixels = [np.zeros_like(m) for m in masks]
-    errors, brightest, dimmest = [], 0.0, 9.0
+    errors, bounds = [], 0
     for tile in range(texels.tiles):
         stack, visible = texels.read("total", tile), texels.visible(tile)
         positions, _, inside = texels.geometry(tile)
@@ -262,8 +262,8 @@ def test_store_round_trip(scene, tmp_path):
         saturated = texels.bounds(tile)
         assert not (visible & saturated).any()
         assert (stack[~visible & ~saturated] == 0).all()
-        brightest = max(brightest, float(stack[visible].max(initial=0)))
-        dimmest = min(dimmest, float(stack[saturated].max(axis=-1).min(initial=9)))
+        assert not saturated[texels.held_out].any()
+        bounds += int(saturated.sum())
         np.testing.assert_allclose(stack[views:], 2 * stack[:views], atol=1e-6)
         truth = np.broadcast_to(colour(positions), stack[:views].shape)
         assert np.abs(stack[:views] - truth)[visible[:views]].max(initial=0) < 0.03
@@ -279,6 +279,7 @@ def test_store_round_trip(scene, tmp_path):
         errors.append(np.abs(predicted - samples.values[first]).max(axis=1))
     for seen, mask in zip(seen_pixels, masks, strict=True):
         np.testing.assert_array_equal(seen, mask)
+    assert bounds > 100
     errors = np.concatenate(errors)
     assert np.percentile(errors, 99) < 0.004
     known = np.isfinite(mean).all(axis=-1)

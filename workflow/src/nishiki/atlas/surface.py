@@ -216,7 +216,7 @@ def sample_view(
     """Sample texels in one view, for each of its pictures (rows, columns, channels) float32.
 
     positions, normals (..., 3), inside (...): texels; depth (rows, columns): of the view's `Raster`, infinite in pixels
-    that do not show the object or hold no valid value. A texel is visible where it is inside, faces the camera at less
+    that do not show the object or hold no usable value. A texel is visible where it is inside, faces the camera at less
     than `grazing_deg` from its normal, and the surface that each of the four pixels around its image shows lies no
     further in front of or behind the texel than the texel's own tangent plane comes or goes within `tolerance` pixels,
     plus `tolerance` pixels of the surface's size (against ties of a surface with itself).

@@ -20,7 +20,6 @@ from nishiki.threads import in_threads
 
 READ_AHEAD_MIB = 64
 """Memory that a reader keeps for one quantity over all observations."""
-SATURATED = 0.9  # of the brightest valid pixel, from which a pixel that is not valid is a saturated one
 
 
 @dataclass(frozen=True)
@@ -144,11 +143,18 @@ class TexelsWriter:
         self.offsets[index] = start + places.offsets
         return ViewGeometry(index, raster, shown, places, start)
 
-    def pictures(self, view: ViewGeometry, light: int, pictures: dict[str, np.ndarray], valid: np.ndarray) -> dict:
+    def pictures(
+        self,
+        view: ViewGeometry,
+        light: int,
+        pictures: dict[str, np.ndarray],
+        valid: np.ndarray,
+        saturated: np.ndarray | None = None,
+    ) -> dict:
         """Store the pictures of one view under one light; return the counts visible and inside.
 
-        pictures (rows, columns, channels) linear by component, valid (rows, columns) bool. Where the total is the only
-        one, pixels that are not valid, and as bright as the brightest valid ones, count as saturated.
+        pictures (rows, columns, channels) linear by component, valid (rows, columns) bool; saturated (rows, columns)
+        bool, of pixels that are not valid: the total is a lower bound.
         """
         places, camera = view.places, self.cameras[view.view]
         observation = light * self.views + view.view
@@ -157,10 +163,9 @@ class TexelsWriter:
         for name in self.components:
             self.group[f"pixels/values/{name}"][light, part] = pictures[name][places.row, places.column]
         held = camera.name in self.hold_out
-        bright = pictures["total"].max(axis=-1) if self.components == ("total",) else np.zeros(valid.shape, np.float32)
-        saturated = ~valid & (bright >= SATURATED * bright[valid].max(initial=0)) & (bright > 0)
-        usable = np.zeros_like(valid) if held else view.shown & (valid | saturated)
-        unsure = [saturated[..., None].astype(np.float32)] if saturated.any() else []
+        known = valid if saturated is None else valid | saturated
+        usable = np.zeros_like(valid) if held else view.shown & known
+        marks = [(known & ~valid)[..., None].astype(np.float32)] if (known & ~valid).any() else []
 
         def one(group: slice) -> int:
             results = sample_view(
@@ -169,10 +174,10 @@ class TexelsWriter:
                 self.inside[group],
                 camera=camera,
                 depth=np.where(usable, view.raster.depth, np.float32(np.inf)),
-                pictures=[*(pictures[name] for name in self.components), *unsure],
+                pictures=[*(pictures[name] for name in self.components), *marks],
             )
             seen = results[0].visible.astype(np.uint8)
-            if unsure:
+            if marks:
                 seen += results.pop().values[..., 0] > 0
             self.group["visible"][observation, group] = seen
             for name, sampled in zip(self.components, results, strict=True):

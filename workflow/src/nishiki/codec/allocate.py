@@ -280,7 +280,7 @@ def code_streams(
 
 
 def psnr(error: float, samples: int) -> float:
-    """Compute decibels at full scale 1 of a sum of squares; the most where the error is 0 or nothing was measured."""
+    """Compute decibels at full scale 1 of a sum of squares; LARGEST_DB where it is 0 or nothing was measured."""
     if samples == 0 or error <= 0:
         return LARGEST_DB
     return min(LARGEST_DB, float(-10 * np.log10(error / samples)))

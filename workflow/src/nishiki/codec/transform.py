@@ -147,7 +147,7 @@ class PlaneTransform:
 
     @cached_property
     def single(self) -> np.ndarray:
-        """The gains in single precision."""
+        """The gains as float32."""
         return self.gains.astype(np.float32)
 
     @property

@@ -38,6 +38,10 @@ class LinearPictures:
             valid = valid & known
         return {"diffuse": diffuse, "specular": specular, "total": total}, valid
 
+    def find_saturated(self, view: int, light: int) -> np.ndarray:
+        """Find the pixels (rows, columns) bool of a photograph that are saturated in a channel."""
+        return self.views.find_saturated(view, state=self.state, light=self.views.lights[light])
+
 
 class Photographs(LinearPictures):
     """Counterparts of rendered pictures from ingest, mesh and, with polariser states, polarise."""

@@ -152,7 +152,7 @@ class ShadingPhotographs:
         """
         import cv2
 
-        area = np.mean([silhouette.sum() for silhouette in silhouettes])
+        area = np.mean([max(silhouette.sum(), silhouette.size / 16) for silhouette in silhouettes])  # bounds the memory
         small = [scale_camera(camera, 1 / max(1, round(np.sqrt(area) / size_px))) for camera in cameras]
         size = small[0].columns, small[0].rows
 
@@ -202,7 +202,7 @@ class ShadingPhotographs:
         return out, predicted
 
     def pixel_at(self, distance: float) -> float:
-        """Return the length across the line of sight of a pixel at this distance."""
+        """Return the length across the line of sight of a pixel of the first camera at this distance."""
         return distance / np.sqrt(abs(np.linalg.det(self.cameras[0].intrinsics)))
 
 

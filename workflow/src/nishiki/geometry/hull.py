@@ -81,17 +81,18 @@ class Hull:
         """Cut front parts along their edges, as far as `VOTES` views agree."""
         from scipy.ndimage import gaussian_filter
 
+        if len(parts.cameras) < VOTES:
+            return self
         cuts, band = np.full_like(self.volume, BAND * self.cell), BAND * self.cell
-        if len(parts.cameras) >= VOTES:
-            views = *SilhouetteField.geometry_of(parts.cameras), parts.distances, parts.depths
-            cut = partial(cut_slab, views, (self.origin, self.cell), VOTES, band, self.volume, cuts)
-            list(in_threads(lambda s: cut(s, min(s + BLOCK, len(cuts))), range(0, len(cuts), BLOCK)))
+        views = *SilhouetteField.geometry_of(parts.cameras), parts.distances, parts.depths
+        cut = partial(cut_slab, views, (self.origin, self.cell), VOTES, band, self.volume, cuts)
+        list(in_threads(lambda s: cut(s, min(s + BLOCK, len(cuts))), range(0, len(cuts), BLOCK)))
         changed = np.argwhere(cuts < self.volume)
         if not len(changed):
             return self
         box = tuple(slice(max(0, low - 4), high + 5) for low, high in zip(changed.min(0), changed.max(0), strict=True))
         before, volume = self.volume[box], self.volume.copy()
-        # Where the number of views that agree changes the cut is rough: threads and thin sheets are smoothed away.
+        # The cut is rough where the number of agreeing views changes. Smoothing removes threads and thin sheets.
         after = np.minimum(before, cuts[box])
         near = gaussian_filter((after < before).astype(np.float32), 1.0) > 0.01
         volume[box] = np.where(near, np.minimum(before, gaussian_filter(after, 1.0)), before)

@@ -160,7 +160,7 @@ def cut_slab(views, grid, votes, band, volume, cuts, first, last):
     """Fill cuts (i, j, k) with the `votes`-th smallest distance to the edges of the parts that a point may belong to.
 
     views: poses, lenses, distances to an edge and depths behind a part (views, rows, columns); only points before that
-    depth are asked, and within the volume. grid, band, volume, first, last: as in `fill_slab`.
+    depth and in the volume are evaluated. grid, band, volume, first, last: as in `fill_slab`.
     """
     (poses, lenses, distances, depths), (origin, cell) = views, grid
     (count, rows, columns), spot, least = distances.shape, np.empty(3), np.empty(votes)

@@ -49,7 +49,9 @@ def find_overruled(loose: Mesh, camera: Camera, mask: np.ndarray, unsure: np.nda
     """
     import cv2
 
-    unsure = cv2.dilate(unsure.astype(np.uint8), _disc(int(UNSURE_PX))) > 0  # between dark and small parts
+    unsure = (
+        cv2.dilate(unsure.astype(np.uint8), _disc(int(UNSURE_PX))) > 0
+    )  # bridges gaps between dark pixels and small parts
     covered = outline_of(loose, camera)
     depth = float(np.median(camera.project(loose.vertices)[1]))
     cell_px = cell * float(np.sqrt(abs(np.linalg.det(camera.intrinsics)))) / max(depth, 1e-300)
@@ -60,6 +62,15 @@ def find_overruled(loose: Mesh, camera: Camera, mask: np.ndarray, unsure: np.nda
     deep = ((depths > reach) | ((depths > middle) & unsure)).astype(np.uint8) & lost
     closed = cv2.morphologyEx(np.pad(solid, rim), cv2.MORPH_CLOSE, _disc(2 * reach))[rim:-rim, rim:-rim]
     return ((cv2.dilate(deep, _disc(reach + 1)) | (closed & unsure)) & lost) > 0
+
+
+def remove_specks(mask: np.ndarray) -> np.ndarray:
+    """Remove what no square of 2 x 2 pixels covers from a mask (rows, columns) bool."""
+    import cv2
+
+    square = np.ones((2, 2), np.uint8)
+    # OpenCV's opening takes the same anchor twice, which moves all by a pixel where the square's side is even.
+    return cv2.dilate(cv2.erode(mask.astype(np.uint8), square), square, anchor=(0, 0)) > 0
 
 
 def _disc(radius: int) -> np.ndarray:

@@ -82,6 +82,13 @@ class Views(StoredArrays):
         """Read stored codes (rows, columns, channels) of one photograph, in the camera's own type."""
         return self._group["codes"][self.index(view, state=state, light=light)]
 
+    def find_saturated(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:
+        """Find the pixels (rows, columns) bool of one photograph that are saturated in a channel, without defects."""
+        code = self.attributes["saturation_code"]
+        if code is None:
+            return np.zeros(self.shape, bool)
+        return (self.codes(view, state=state, light=light) >= code).any(axis=-1) & (self._usable != 0)
+
     def board(self, state: str, *, light: str | None = None) -> np.ndarray | None:
         """Return the mean white board (rows, columns, channels) float32 of a state, in the units of `read`; or None."""
         key = [self.lights[self._place(self.lights, light, "light")], state]

@@ -43,7 +43,7 @@ class ObjectFit:
     at_bound_share: float = 0.0  # sigma at an end of WIDTHS
     median_sigma: float | None = None  # radians, of the texels with a highlight
     pull: float | None = None  # of PULLS; None without gloss
-    saturated: bool = False  # saturated values count as if they were measured
+    saturated: bool = False  # for sigma and K_s saturated values count as if they were measured
 
 
 def fit_object(
@@ -66,10 +66,10 @@ def fit_object(
     # Far from the world's origin cells are counted from a multiple of FAR cells near the first texel.
     origin = FAR * edge * np.rint(first_texel.astype(float).sum(axis=0) / (FAR * edge))
     lattice = Lattice(edge, tuple(origin.tolist()))
-    pull, counts = _choose_pull(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
+    pull, use_saturated = _choose_pull(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
 
     def read_tile(number: int) -> Tile:
-        return read(number).hide([], saturated=not counts)
+        return read(number).hide([], saturated=not use_saturated)
 
     gloss = _Gloss.of(_gather(read_tile, tiles, capture, lattice, threads), pull)
 
@@ -85,7 +85,7 @@ def fit_object(
     return replace(
         _totals([part[:3] for part in finished]),
         pull=pull,
-        saturated=counts,
+        saturated=use_saturated,
         median_sigma=float(np.median(sigmas)) if sigmas.size else None,
     )
 
@@ -97,29 +97,26 @@ def _choose_pull(
 
     Of three captured views in a row the middle one is hidden, and predicted by the model and the mean of its residuals
     in the two others. The second choice is whether saturated values count as if they were measured: they lower a lobe,
-    but tell of one that only its flanks would show.
+    but reveal one whose peak no valid value shows.
     """
-    some = [read(number) for number in tiles]
-    captured = np.flatnonzero(np.any([tile.visible.any(axis=(1, 2)) for tile in some], axis=0))
+    facts = [(tile.visible.any(axis=(1, 2)), tile.saturated is not None) for tile in map(read, tiles)]
+    captured = np.flatnonzero(np.any([seen for seen, _ in facts], axis=0))
     rows = list(zip(captured[::3], captured[1::3], captured[2::3], strict=False))
-    saturated = any(tile.saturated is not None and tile.saturated.any() for tile in some)
-    del some
+    kinds = (False, True)[: 1 + any(saturated for _, saturated in facts)]
 
-    def read_tile(number: int, counts: bool) -> Tile:
-        return read(number).hide([middle for _, middle, _ in rows], saturated=not counts)
+    def read_tile(number: int, use_saturated: bool) -> Tile:
+        return read(number).hide([middle for _, middle, _ in rows], saturated=not use_saturated)
 
     trials = []
-    for counts in (False, True)[: 1 + saturated]:
-        around = _gather(partial(read_tile, counts=counts), tiles, capture, lattice, threads)
-        trials += [(counts, _Gloss.of(around, pull)) for pull in PULLS]
+    for kind in kinds:
+        around = _gather(partial(read_tile, use_saturated=kind), tiles, capture, lattice, threads)
+        trials += [(kind, _Gloss.of(around, pull)) for pull in PULLS]
 
     def measure_errors(number: int) -> np.ndarray:
         tile, errors = read(number).joined, np.zeros(len(trials))
-        observed = [
-            (hidden, _observe(hidden, capture)) for hidden in (read_tile(number, False), read_tile(number, True))
-        ]
-        for place, (counts, gloss) in enumerate(trials):
-            hidden, observations = observed[counts]
+        observed = [(hidden, _observe(hidden, capture)) for hidden in (read_tile(number, kind) for kind in kinds)]
+        for place, (kind, gloss) in enumerate(trials):
+            hidden, observations = observed[kind]
             fitted = _fit_tile(hidden, *observations, gloss)
             for row in rows:
                 seen = tile.usable[list(row)].all(axis=0) & tile.inside
@@ -128,8 +125,8 @@ def _choose_pull(
         return errors
 
     total = sum(in_threads(measure_errors, tiles, threads), np.zeros(len(trials)))
-    counts, gloss = trials[int(np.argmin(total))]
-    return gloss.pull, counts
+    use_saturated, gloss = trials[int(np.argmin(total))]
+    return gloss.pull, use_saturated
 
 
 def spacing(tiles: list[Tile]) -> float:
@@ -252,7 +249,7 @@ def fit_lambert(
     tiles = list(tiles)
 
     def finish(number: int) -> tuple[np.ndarray, float, int]:
-        tile = read(number).joined
+        tile = read(number).hide([], saturated=True).joined
         parameters = lambert_tile(tile, capture)
         write(number, parameters)
         return _counts(parameters), *capture.squares(parameters, tile)

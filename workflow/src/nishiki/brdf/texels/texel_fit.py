@@ -23,7 +23,7 @@ MULTIPLE = 8  # observations a texel are padded to a multiple, with weight 0
 
 @dataclass(frozen=True)
 class TileSamples:
-    """The visible observations of a tile's observed texels; every array float32 unless noted.
+    """The visible and saturated observations of a tile's observed texels; every array float32 unless noted.
 
     texel (points,) int32: row * T + column.  values (points, slots, channels).  diffuse (points, slots): what
     multiplies K_d.  attenuation: what multiplies K_s exp(..), 0 where the lamp is behind.  alpha (points, slots):
@@ -43,7 +43,7 @@ class TileSamples:
 
     @property
     def sure(self) -> "TileSamples":
-        """The same samples, saturated ones without a weight."""
+        """The samples with the weight of saturated ones set to 0."""
         if self.saturated is None:
             return self
         return replace(self, weights=np.where(self.saturated, np.float32(0), self.weights))
@@ -131,7 +131,7 @@ class Tile:
 
     @property
     def usable(self) -> np.ndarray:
-        """Visible or saturated (M, T, T)."""
+        """Texels that are visible or saturated, (M, T, T) bool."""
         return self.visible if self.saturated is None else self.visible | self.saturated
 
     def hide(self, observations: list[int], *, saturated: bool) -> "Tile":
@@ -230,7 +230,7 @@ class CaptureViews:
     def subtract_prediction(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
         """Subtract the encoded total radiance of a joined tile from the predicted one, as `predict`.
 
-        More than a saturated value is no error.
+        A prediction above a saturated value has no error.
         """
         found = encode(self.predict(parameters, tile, observation, texels), self.encoding)
         error = found - encode(tile.values[observation][texels], self.encoding)

@@ -65,7 +65,7 @@ OBJECT_LIMITS = (
 )
 
 
-class ObjectBrdfSettings(Guarded, stage="object_brdf", version=9, limits=OBJECT_LIMITS):
+class ObjectBrdfSettings(Guarded, stage="object_brdf", version=10, limits=OBJECT_LIMITS):
     """Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
 
     lighting: Literal["auto", "camera", "fitted"] = Field(

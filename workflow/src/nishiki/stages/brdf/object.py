@@ -128,7 +128,8 @@ def reader(texels: Texels, separated: bool, hold_out: tuple[str, ...]):
         if separated:
             values, specular = texels.read("diffuse", tile), texels.read("specular", tile)
             return Tile(values, visible, positions, normals, inside, specular)
-        saturated = texels.bounds(tile) & kept[:, None, None]
+        bounds = texels.bounds(tile) & kept[:, None, None]
+        saturated = bounds if bounds.any() else None
         return Tile(texels.read("total", tile), visible, positions, normals, inside, saturated=saturated)
 
     return read

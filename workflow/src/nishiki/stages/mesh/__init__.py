@@ -60,7 +60,7 @@ LIMITS = (
 )
 
 
-class MeshSettings(Guarded, stage="mesh", version=11, limits=LIMITS):
+class MeshSettings(Guarded, stage="mesh", version=12, limits=LIMITS):
     """Source of the object's surface, and number of its triangles."""
 
     source: Literal["auto", "file", "scans", "silhouettes"] = Field(
@@ -82,8 +82,9 @@ class MeshSettings(Guarded, stage="mesh", version=11, limits=LIMITS):
     )
     concavities: bool = Field(
         True,
-        description="silhouettes: sink large regions that show different points of the object in different views "
-        "(hollows that no outline shows), as deep as the photographs agree best",
+        description="silhouettes: follow the photographs beyond the outlines: sink large regions that show different "
+        "points of the object in different views (hollows), as deep as these agree best, and cut parts that stand in "
+        "front of the rest to the edge that two views show",
     )
     overlap: float = Field(0.5, gt=0, le=1, description="scans: part of a scan that the nearest other scans share")
     deviation_px: float = Field(

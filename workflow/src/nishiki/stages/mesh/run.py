@@ -51,11 +51,12 @@ def run(context: Context) -> dict:
         kept = keep_usable(masks, used)
         hull = carve(kept, cameras, cells=settings.cells)
         diagnostics["hull"] = {"cell": hull.cell, "shape": hull.volume.shape, "box": hull.box.tolist()}
-        context.progress.tell("front parts")
-        coarse = carve(kept, cameras, cells=HOLLOW_CELLS)
-        parts = find_front_parts(surface_of(coarse, cameras, 1.0)[0], photographs(views, cameras, kept, PARTS_PX))
-        diagnostics["front_parts"] = parts.pixels_beside()
-        hull = hull.cut(parts)
+        if settings.concavities:
+            context.progress.tell("front parts")
+            coarse = carve(kept, cameras, cells=HOLLOW_CELLS)
+            parts = find_front_parts(surface_of(coarse, cameras, 1.0)[0], photographs(views, cameras, kept, PARTS_PX))
+            diagnostics["front_parts"] = parts.pixels_beside()
+            hull = hull.cut(parts)
         mesh, defects, small = surface_of(hull, cameras, settings.smooth)
         del hull  # its mesh is as large as the whole one
         if settings.concavities:

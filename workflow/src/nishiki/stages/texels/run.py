@@ -63,7 +63,9 @@ def run(context: Context) -> dict:
             facts["uncovered"] += int((silhouette & (view.raster.triangle < 0)).sum())
         for light in range(len(views.lights)):
             pictures, valid = source.parts(index, light)
-            count = writer.pictures(view, light, pictures, valid)
+            # states of a polariser saturate one by one: what their sum would have been is not known
+            saturated = source.find_saturated(index, light) if source.separated is None else None
+            count = writer.pictures(view, light, pictures, valid, saturated)
             if cameras[index].name not in settings.hold_out:
                 facts["visible"] += count["visible"]
                 facts["texels"] += count["inside"]
