@@ -65,7 +65,7 @@ def find_overruled(loose: Mesh, camera: Camera, mask: np.ndarray, unsure: np.nda
 
 
 def remove_specks(mask: np.ndarray) -> np.ndarray:
-    """Remove what no square of 2 x 2 pixels covers from a mask (rows, columns) bool."""
+    """Remove the pixels of a mask (rows, columns) bool that no square of 2 x 2 pixels within it covers."""
     import cv2
 
     square = np.ones((2, 2), np.uint8)

@@ -54,14 +54,16 @@ def run(context: Context) -> dict:
         if settings.concavities:
             context.progress.tell("front parts")
             coarse = carve(kept, cameras, cells=HOLLOW_CELLS)
-            parts = find_front_parts(surface_of(coarse, cameras, 1.0)[0], photographs(views, cameras, kept, PARTS_PX))
+            parts = find_front_parts(
+                extract_surface(coarse, cameras, 1.0)[0], photographs(views, cameras, kept, PARTS_PX)
+            )
             diagnostics["front_parts"] = parts.pixels_beside()
             hull = hull.cut(parts)
-        mesh, defects, small = surface_of(hull, cameras, settings.smooth)
-        del hull  # its mesh is as large as the whole one
+        mesh, defects, small = extract_surface(hull, cameras, settings.smooth)
+        del hull  # frees the volume and the uncleaned mesh
         if settings.concavities:
             context.progress.tell("hollows")
-            coarse, _, _ = surface_of(coarse.cut(parts), cameras, max(1.0, settings.smooth))
+            coarse, _, _ = extract_surface(coarse.cut(parts), cameras, max(1.0, settings.smooth))
             mesh, diagnostics["concavities"] = sink_hollows(mesh, coarse, photographs(views, cameras, kept, HOLLOWS_PX))
     else:
         read = read_file if source == "file" else merge_scans
@@ -165,7 +167,7 @@ def overrule(
     return out, {"overruled": {"misses": misses, "genus": shape_of(loose).genus, "mean": mean, "share": shares}}
 
 
-def surface_of(hull: Hull, cameras: list[Camera], smooth_px: float) -> tuple[Mesh, Defects, int]:
+def extract_surface(hull: Hull, cameras: list[Camera], smooth_px: float) -> tuple[Mesh, Defects, int]:
     """Extract a hull's surface, cleaned and smoothed; return it with the defects and the small parts removed."""
     mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
     mesh, small = without_small_parts(mesh)
