@@ -9,11 +9,12 @@ photograph agrees with the prediction of the far point, or with that in shadow, 
 
 import numpy as np
 
+from nishiki.geometry.camera import Camera
 from nishiki.geometry.hollows import ShadingPhotographs
-from nishiki.geometry.hull import SMOOTHING_PX, FrontParts, sight_rays
+from nishiki.geometry.hull import SMOOTHING_PX, FrontParts
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.placement import remove_specks
-from nishiki.geometry.visibility import RayTree, cast, interpolate, make_tree, rasterise
+from nishiki.geometry.visibility import interpolate, rasterise
 
 GAP_PX, FARTHEST_PX = 3.0, 10.0
 """Free space behind a part; cap of distances to its edge."""
@@ -26,58 +27,55 @@ def find_front_parts(mesh: Mesh, photographed: ShadingPhotographs) -> FrontParts
     """Find the front parts of a hull's surface, and where the photographs show that they end."""
     import cv2
 
-    tree, square, found = make_tree(mesh.vertices, mesh.triangles), np.ones((3, 3), np.uint8), []
-    drawn = [rasterise(mesh, camera).depth for camera in photographed.cameras]
-    seen = np.stack([cv2.erode(depth, square) for depth in drawn])  # a point next to an occluding edge may be hidden
-    for view, camera in enumerate(photographed.cameras):
-        rows, columns = np.nonzero(np.isfinite(drawn[view]))
-        if not len(rows):
+    square, found = np.ones((3, 3), np.uint8), []
+    crossings = [find_crossings(mesh, camera, photographed) for camera in photographed.cameras]
+    seen = np.stack([cv2.erode(depth, square) for depth, *_ in crossings])  # next to an edge a point may be hidden
+    for view, (camera, (_, part, free, points, normals)) in enumerate(
+        zip(photographed.cameras, crossings, strict=True)
+    ):
+        if not part.any():
             continue
-        rays = sight_rays(np.column_stack([columns, rows]).astype(np.float64), camera)
-        pixel = photographed.pixel_at(float(drawn[view][rows, columns].mean()))
-        distances, normals = find_crossings(mesh, tree, camera.centre, rays, 0.01 * pixel)
-        before = distances[2] - distances[1] > GAP_PX * pixel
-        if not before.any():
-            continue
-        rows, columns = rows[before], columns[before]
-        points = camera.centre + distances[:, before, None] * rays[before]
-        shown = photographed.pictures[view, rows, columns]
-        near, far = (photographed.fit(seen, points[k], normals[k, before], view)[1] for k in (0, 2))
+        shown = photographed.pictures[view][part]
+        near, far = (photographed.fit(seen, points[k], normals[k], view)[1] for k in (0, 1))
         lit = np.clip((shown * far).sum(axis=1) / np.maximum((far * far).sum(axis=1), 1e-12), 0, 1)
-        values = np.zeros((*drawn[view].shape, 4), np.float32)
+        values = np.zeros((*part.shape, 4), np.float32)
         # what too few views see is no evidence: the near point is kept, the far one rejected
         for k, (expected, unknown) in enumerate(((near, 0.0), (lit[:, None] * far, 2 * ERROR))):
             error = np.abs(shown - expected).max(axis=1)
-            values[rows, columns, k] = np.where(np.isfinite(error), np.minimum(error, 2 * ERROR), unknown)
-        values[rows, columns, 2] = points[1:].mean(axis=0) @ camera.rotation[2] + camera.translation[2]
-        values[rows, columns, 3] = 1
+            values[part, k] = np.where(np.isfinite(error), np.minimum(error, 2 * ERROR), unknown)
+        values[part, 2] = free
+        values[part, 3] = 1
         near, far, _, share = np.moveaxis(cv2.blur(values, (3, 3)), 2, 0)
-        part, behind = values[..., 3] > 0, values[..., 2]
         beside = select_border_regions(part & (near > ERROR * share) & (far < ERROR * share), part)
         if beside.any():
-            behind = np.where(part, behind, cv2.dilate(behind, np.ones((5, 5), np.uint8)))
+            behind = np.where(part, values[..., 2], cv2.dilate(values[..., 2], np.ones((5, 5), np.uint8)))
             found.append((camera, edge_distance(beside, part), behind))
     cameras, distances, depths = zip(*found, strict=True) if found else ((), (), ())
     return FrontParts(list(cameras), np.array(distances, np.float32), np.array(depths, np.float32))
 
 
-def find_crossings(
-    mesh: Mesh, tree: RayTree, origin: np.ndarray, rays: np.ndarray, step: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Find the first three crossings of rays with a surface: distances (3, n), NaN where none is, normals (3, n, 3)."""
-    distances, normals = np.full((3, len(rays)), np.nan), np.zeros((3, len(rays), 3), np.float32)
-    going, start = np.arange(len(rays)), np.zeros(len(rays))
-    for k in range(3):
-        hits = cast(tree, origin + start[going, None] * rays[going], rays[going])
-        met = hits.triangle >= 0
-        weights = np.column_stack([1 - hits.weights.sum(axis=1), hits.weights[:, 0]]).astype(np.float32)
-        facing = interpolate(mesh.normals, mesh.triangles, hits.triangle, weights)
-        normals[k, going] = facing / np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-9)
-        going = going[met]
-        start[going] += hits.distance[met]
-        distances[k, going] = start[going]
-        start[going] += step
-    return distances, normals
+def find_crossings(mesh: Mesh, camera: Camera, photographed: ShadingPhotographs) -> tuple[np.ndarray, ...]:
+    """Find the lines of sight that enter a surface, leave it, and enter it again more than GAP_PX behind.
+
+    Return the depth of the surface and the pixels of such lines, bool (rows, columns); of each line the depth (n,) in
+    the middle of the free space, and the two points (2, n, 3) where it enters, with their normals (2, n, 3).
+    """
+    layers = [rasterise(mesh, camera)]
+    depths = layers[0].depth[layers[0].triangle >= 0]
+    pixel = photographed.pixel_at(float(depths.sum()) / max(1, len(depths)))
+    for _ in range(2):
+        layers.append(rasterise(mesh, camera, behind=layers[-1].depth + np.float32(0.01 * pixel)))
+    part = layers[2].triangle >= 0
+
+    def at_layers(values: np.ndarray) -> np.ndarray:
+        return np.stack(
+            [interpolate(values, mesh.triangles, each.triangle[part], each.barycentric[part]) for each in layers]
+        )
+
+    part[part] = np.linalg.norm(np.diff(at_layers(mesh.vertices)[1:], axis=0)[0], axis=1) > GAP_PX * pixel
+    points, normals = at_layers(mesh.vertices)[::2], at_layers(mesh.normals)[::2]
+    normals /= np.maximum(np.linalg.norm(normals, axis=2, keepdims=True), 1e-9)
+    return layers[0].depth, part, (layers[1].depth[part] + layers[2].depth[part]) / 2, points, normals
 
 
 def select_border_regions(beside: np.ndarray, part: np.ndarray) -> np.ndarray:

@@ -31,12 +31,15 @@ class Raster:
     first_row: int  # row of the picture that row 0 of the arrays is
 
 
-def rasterise(mesh: Mesh, camera: Camera, *, rows: tuple[int, int] | None = None) -> Raster:
+def rasterise(
+    mesh: Mesh, camera: Camera, *, rows: tuple[int, int] | None = None, behind: np.ndarray | None = None
+) -> Raster:
     """Find the triangle nearest to the camera behind each pixel centre.
 
     A pixel centre on an edge belongs to exactly one of the two triangles that share it (top-left rule, evaluated so
     that both see the same number). Triangles without area, with corners that are not finite, or with a corner at or
-    behind the camera's plane show nowhere. rows: (first, stop), only these rows of the picture.
+    behind the camera's plane show nowhere. rows: (first, stop), only these rows of the picture. behind: depth
+    (rows, columns) float32 beyond which the surface is sought (default: the camera's plane).
     """
     first, stop = (0, camera.rows) if rows is None else rows
     if not 0 <= first <= stop <= camera.rows:
@@ -47,7 +50,8 @@ def rasterise(mesh: Mesh, camera: Camera, *, rows: tuple[int, int] | None = None
     barycentric = np.zeros((*shape, 2), np.float32)
     depth = np.full(shape, np.inf, np.float32)
     corners = np.ascontiguousarray(mesh.triangles, np.int32)
-    fill(np.ascontiguousarray(pixels), depths, corners, first, triangle, barycentric, depth)
+    behind = np.zeros(shape, np.float32) if behind is None else behind
+    fill(np.ascontiguousarray(pixels), depths, corners, first, behind, triangle, barycentric, depth)
     return Raster(triangle, barycentric, depth, first)
 
 
@@ -76,8 +80,8 @@ def bounds(values, size):
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def fill(pixels, depths, corners, first_row, triangle, barycentric, depth):
-    """Draw all triangles into the three arrays by z-buffer."""
+def fill(pixels, depths, corners, first_row, behind, triangle, barycentric, depth):
+    """Draw all triangles into the three arrays by z-buffer, beyond the depths `behind`."""
     rows, columns = triangle.shape
     for index in range(len(corners)):
         a, b, c = corners[index, 0], corners[index, 1], corners[index, 2]
@@ -108,7 +112,7 @@ def fill(pixels, depths, corners, first_row, triangle, barycentric, depth):
                 wa, wb, wc = wa / za, wb / zb, wc / zc
                 total = wa + wb + wc
                 near = np.float32(weight_sum / total)
-                if near < depth[row, column]:
+                if behind[row, column] < near < depth[row, column]:
                     depth[row, column] = near
                     triangle[row, column] = index
                     barycentric[row, column, 0] = wa / total

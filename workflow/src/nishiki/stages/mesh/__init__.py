@@ -60,7 +60,7 @@ LIMITS = (
 )
 
 
-class MeshSettings(Guarded, stage="mesh", version=12, limits=LIMITS):
+class MeshSettings(Guarded, stage="mesh", version=13, limits=LIMITS):
     """Source of the object's surface, and number of its triangles."""
 
     source: Literal["auto", "file", "scans", "silhouettes"] = Field(
