@@ -156,37 +156,46 @@ def fill_slab(field, grid, block, misses, band, first, last, volume):
 
 
 @njit(**JIT)
-def cut_slab(views, grid, votes, band, volume, cuts, first, last):
-    """Fill cuts (i, j, k) with the `votes`-th smallest distance to the edges of the parts that a point may belong to.
+def cut_slab(field, depths, grid, votes, band, first, last, volume):
+    """Lower volume (i, j, k) to the `votes`-th smallest distance to the edges of the parts that a point may belong to.
 
-    views: poses, lenses, distances to an edge and depths behind a part (views, rows, columns); only points before that
-    depth and in the volume are evaluated. grid, band, volume, first, last: as in `fill_slab`.
+    depths: (2, views, rows, columns) behind a part, and the largest of these near each pixel, within a block; only
+    points before that depth and in the volume are evaluated. grid: origin, cell, points along a block; others: as in
+    `fill_slab`.
     """
-    (poses, lenses, distances, depths), (origin, cell) = views, grid
-    (count, rows, columns), spot, least = distances.shape, np.empty(3), np.empty(votes)
-    for i in range(first, last):
-        for j in range(volume.shape[1]):
-            for k in range(volume.shape[2]):
-                if volume[i, j, k] <= -cell:
-                    continue
-                least[:] = FAR
+    (poses, lenses, _, _), (origin, cell, block) = field, grid
+    spot, worst, place, half = np.zeros(3), np.empty(MOST_MISSES + 1), np.empty(3), 0.5 * (block - 1)
+    (_, ny, nz), (_, count, rows, columns) = volume.shape, depths.shape
+    near, behind = np.empty(count, np.int64), np.empty(count, np.int64)
+    for i0 in range(first, last, block):
+        for j0 in range(0, ny, block):
+            for k0 in range(0, nz, block):
+                found = 0
+                x, y, z = origin[0] + cell * (i0 + half), origin[1] + cell * (j0 + half), origin[2] + cell * (k0 + half)
                 for view in range(count):
-                    x, y, z = origin[0] + cell * i, origin[1] + cell * j, origin[2] + cell * k
                     project_point(poses[view], lenses[view], x, y, z, spot)
-                    row, column = int(spot[1] + 0.5), int(spot[0] + 0.5)
-                    if not (spot[2] > 0.0 and 0 < row < rows - 1 and 0 < column < columns - 1):
-                        continue
-                    if spot[2] >= depths[view, row, column]:
-                        continue
-                    row, column = int(spot[1]), int(spot[0])
-                    s, t, at = spot[1] - row, spot[0] - column, distances[view]
-                    value = (1.0 - s) * ((1.0 - t) * at[row, column] + t * at[row, column + 1])
-                    value += s * ((1.0 - t) * at[row + 1, column] + t * at[row + 1, column + 1])
-                    value *= spot[2] / lenses[view, 10]
-                    for m in range(votes):
-                        if value < least[m]:
-                            least[m], value = value, least[m]
-                cuts[i, j, k] = min(max(least[votes - 1], -band), band)
+                    row = int(min(max(spot[1] + 0.5, 0.0), rows - 1.0))
+                    column = int(min(max(spot[0] + 0.5, 0.0), columns - 1.0))
+                    near[found] = view
+                    found += spot[2] - 2.0 * cell * half < max(depths[1, view, row, column], 0.0)
+                if found < votes:
+                    continue
+                for i in range(i0, min(i0 + block, last)):
+                    for j in range(j0, min(j0 + block, ny)):
+                        for k in range(k0, min(k0 + block, nz)):
+                            if volume[i, j, k] <= -cell:
+                                continue
+                            place[0], place[1] = origin[0] + cell * i, origin[1] + cell * j
+                            place[2] = origin[2] + cell * k
+                            before = 0
+                            for view in near[:found]:
+                                project_point(poses[view], lenses[view], place[0], place[1], place[2], spot)
+                                row, column = int(spot[1] + 0.5), int(spot[0] + 0.5)
+                                if spot[2] > 0.0 and 0 < row < rows - 1 and 0 < column < columns - 1:
+                                    behind[before] = view
+                                    before += spot[2] < depths[0, view, row, column]
+                            value = at_point(field, behind[:before], place, votes - 1, band, spot, worst)
+                            volume[i, j, k] = min(volume[i, j, k], max(value, -band))
 
 
 @njit(**JIT)
