@@ -11,7 +11,6 @@ from simulated_devices import SimulatedComXim, SimulatedDialogue, SimulatedGrbl
 
 from nishiki.cli import main
 from nishiki.errors import UserError
-from nishiki.rig import described
 from nishiki.rig import device as lines
 from nishiki.rig.description import open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Exposure
@@ -243,4 +242,4 @@ def test_without_the_extra_the_remedy_is_named(folder, capsys, monkeypatch):
 @pytest.fixture(autouse=True)
 def short_waits(monkeypatch):
     monkeypatch.setattr(lines, "QUIET_S", 0.05)
-    monkeypatch.setattr(described, "GREETING_S", 1.0)
+    monkeypatch.setattr(lines, "GREETING_S", 1.0)

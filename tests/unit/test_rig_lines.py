@@ -14,7 +14,7 @@ from simulated_devices import FAULTS, FaultyDome, SimulatedComXim, SimulatedDial
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
-from nishiki.rig import axes, described
+from nishiki.rig import axes
 from nishiki.rig import device as lines
 from nishiki.rig.axes import ComXimSettings, ComXimTurntable, Grbl, GrblAxis, GrblSettings
 from nishiki.rig.described import (
@@ -38,7 +38,7 @@ DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 def short_waits(monkeypatch):
     """Simulated devices answer at once: a missing answer need not be waited for as long as a real one."""
     monkeypatch.setattr(lines, "QUIET_S", 0.05)
-    for module in (axes, described):
+    for module in (axes, lines):
         monkeypatch.setattr(module, "ANSWER_S", 0.6)
         monkeypatch.setattr(module, "GREETING_S", 1.0)
     monkeypatch.setattr(axes, "MOVE_S", 1.0)

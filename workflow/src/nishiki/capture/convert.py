@@ -12,14 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from nishiki.capture.layout_writers import (
-    MeasuredTable,
-    read_measurements,
-    recognise_table,
-    write_plane,
-    write_round,
-    write_table_capture,
-)
+from nishiki.capture import layout_writers, turntable_layouts
 from nishiki.capture.layouts import (
     DIRECTIONS,
     RELIGHTABLE,
@@ -45,19 +38,6 @@ from nishiki.capture.registered import PictureIndex, Registration, colmap_folder
 from nishiki.capture.relightable import RelightableRendering, read_relightable, recognise_relightable, write_rendering
 from nishiki.capture.rti_projects import find_rti_project
 from nishiki.capture.spheres.measure import find_photographs, read_with_balls
-from nishiki.capture.turntable_layouts import (
-    TURN,
-    RoundLayout,
-    find_camera_list,
-    find_matrices,
-    find_states,
-    find_turn,
-    place_registered,
-    read_middlebury,
-    read_numbered_matrices,
-    read_series,
-    read_turn,
-)
 from nishiki.formats.files import Refused, bound, files_with, leads_out, whole_folder
 from nishiki.formats.picture_files import IMAGE_SUFFIXES
 from nishiki.formats.problems import CaptureError, Problem, expect_one, name_some, raise_errors, refuse
@@ -85,7 +65,9 @@ class MosaicLayout:
         return f"{len(self.fields)} fields, {self.count} photographs"
 
 
-SourceLayout = Layout | RoundLayout | RelightableRendering | MeasuredTable | MosaicLayout
+SourceLayout = (
+    Layout | turntable_layouts.RoundLayout | RelightableRendering | layout_writers.MeasuredTable | MosaicLayout
+)
 """Return type of readers: `name`, `count` of the photographs, `parts` in words, `geometry`, `channels` and `warnings`.
 Each has a writer, see `convert.WRITERS`."""
 
@@ -135,9 +117,9 @@ CAMERAS: tuple[tuple[str, Callable[[Path], Path | None], Callable[[Path, Picture
 def cameras_of(program: str, find: Callable, read: Callable[[Path, PictureIndex], Registration]) -> FolderLayout:
     """Make the registry entry for folders with cameras of another program."""
 
-    def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> RoundLayout:
+    def read_registered(source: Path, cameras: Path, options: ConvertOptions) -> turntable_layouts.RoundLayout:
         pictures = PictureIndex(source)
-        return place_registered(source, program, cameras.name, read(cameras, pictures), pictures)
+        return turntable_layouts.place_registered(source, program, cameras.name, read(cameras, pictures), pictures)
 
     return FolderLayout(f"cameras of {program}", lambda source, options: find(source), read_registered)
 
@@ -184,12 +166,12 @@ LAYOUTS = (
     ),
     FolderLayout("mirror spheres", find_spheres, read_with_spheres),
     *(cameras_of(*program) for program in CAMERAS),
-    FolderLayout("list of cameras", find_camera_list, read_middlebury),
-    FolderLayout("camera matrices", find_matrices, read_numbered_matrices),
-    FolderLayout(TURN, find_turn, read_turn),
-    FolderLayout("polarisation series", find_states, read_series),
+    FolderLayout("list of cameras", turntable_layouts.find_camera_list, turntable_layouts.read_middlebury),
+    FolderLayout("camera matrices", turntable_layouts.find_matrices, turntable_layouts.read_numbered_matrices),
+    FolderLayout(turntable_layouts.TURN, turntable_layouts.find_turn, turntable_layouts.read_turn),
+    FolderLayout("polarisation series", turntable_layouts.find_states, turntable_layouts.read_series),
     FolderLayout("relightable image", recognise_relightable, read_relightable, files=True),
-    FolderLayout("table of reflectances", recognise_table, read_measurements, files=True),
+    FolderLayout("table of reflectances", layout_writers.recognise_table, layout_writers.read_measurements, files=True),
 )
 
 LAST_RESORT = FolderLayout("mirror balls", find_photographs, read_with_balls)
@@ -320,10 +302,10 @@ def write_mosaic(folder: Path, layout: MosaicLayout, source: Path, options: Conv
 
 
 WRITERS: dict[type, Callable[..., list[Problem]]] = {
-    Layout: write_plane,
-    RoundLayout: write_round,
+    Layout: layout_writers.write_plane,
+    turntable_layouts.RoundLayout: layout_writers.write_round,
     RelightableRendering: write_rendering,
-    MeasuredTable: write_table_capture,
+    layout_writers.MeasuredTable: layout_writers.write_table_capture,
     MosaicLayout: write_mosaic,
 }
 """Writer of each kind of layout that a reader of the registry returns."""
@@ -376,11 +358,11 @@ def convert(source: Path | str, target: Path | str, options: ConvertOptions | No
         missing += file_problems(ambient=options.ambient)
     raise_errors([*folder_problems(white=options.white, dark=options.dark), *missing])
     layout = read_source(source, options)
-    if not isinstance(layout, MeasuredTable):
+    if not isinstance(layout, layout_writers.MeasuredTable):
         options.refuse("They belong to tables of reflectances; leave them out", "values", "azimuths")
-    if not isinstance(layout, RoundLayout) or layout.matrices is not None:
+    if not isinstance(layout, turntable_layouts.RoundLayout) or layout.matrices is not None:
         options.refuse("Only cameras that are estimated from photographs of a turn need it", "height_mm")
-    if not isinstance(layout, RoundLayout):
+    if not isinstance(layout, turntable_layouts.RoundLayout):
         options.refuse(f"The folder was recognised as {layout.name}", "turntable")
     if getattr(layout, "matrices", None) is None:
         options.refuse("Nothing here has camera matrices to arrange; leave the option out", "turn", "camera_of")

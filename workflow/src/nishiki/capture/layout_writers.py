@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from nishiki.capture import taking
 from nishiki.capture.frames import EXPOSURE_COLUMNS, SHIFT_COLUMNS, parse_state
 from nishiki.capture.goniometer_tables import ReflectanceTable, is_table, read_table
 from nishiki.capture.layouts import MASK_SUFFIXES, Layout, masks_in, natural_key, photographs_in, source_problems
@@ -19,18 +20,6 @@ from nishiki.capture.pairing import complete_bands, names_apart, pair_by_name, s
 from nishiki.capture.registered import PictureIndex
 from nishiki.capture.schema import FORMAT
 from nishiki.capture.tables import LENS_COLUMNS, MATRIX_COLUMNS
-from nishiki.capture.taking import (
-    channel_names,
-    choose_encoding,
-    file_names,
-    lights_text,
-    settings_text,
-    state_exposures,
-    table_text,
-    take,
-    take_mask,
-    usual_header,
-)
 from nishiki.capture.turntable_layouts import STATES, RoundLayout
 from nishiki.formats.files import files_with
 from nishiki.formats.masks import alpha_problems
@@ -55,8 +44,8 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     lights, places = rearrange(layout.lights, options.lights_order, options.lights_axes)
     link, region, names = options.link, options.region or layout.region, lights.names
     folder.mkdir(parents=True)
-    header = usual_header(layout.photographs)
-    of_file = channel_names(header)
+    header = taking.usual_header(layout.photographs)
+    of_file = taking.channel_names(header)
     of_band = {b: (b,) if len(of_file) == 1 else tuple(f"{name}_{b}" for name in of_file) for b in layout.bands}
     channels = tuple(name for part in of_band.values() for name in part) or of_file
     held = {layout.lights.find(name) for name in options.checks}
@@ -68,9 +57,9 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         place = FOLDERS.get(role, role)
         name = path.name if same[place, path.name] == 1 else f"{path.parent.name}_{path.name}"
         cells = {"light": light, "band": "+".join(of_band.get(band, ()))}
-        rows.append({"file": take(path, folder / place / name, link), "role": role, **cells})
+        rows.append({"file": taking.take(path, folder / place / name, link), "role": role, **cells})
     settings: dict[str, Any] = {"format": FORMAT, "title": options.title or source.name, "geometry": "plane"}
-    coding, doubts = choose_encoding(header, options.encoding, source.name)
+    coding, doubts = taking.choose_encoding(header, options.encoding, source.name)
     notes += doubts
     settings["camera"] = {"channels": list(channels), "encoding": coding}
     settings["lights"] = {"file": "lights.lp", "kind": layout.kind}
@@ -82,7 +71,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
         settings["lights"]["intensities"] = "intensities.csv"
         _write_intensities(folder / "intensities.csv", names, layout.intensities[places], channels)
     if layout.mask is not None:
-        settings["mask"], doubts = take_mask(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
+        settings["mask"], doubts = taking.take_mask(layout.mask, folder / f"mask{layout.mask.suffix.lower()}", link)
         notes += doubts
     elif not layout.files:
         notes += alpha_problems(layout.photographs[0])
@@ -100,7 +89,7 @@ def write_plane(folder: Path, layout: Layout, source: Path, options: ConvertOpti
     if region is not None:
         settings["region_of_interest"] = list(region)
     if not layout.bands:
-        notes += state_exposures(folder, rows)
+        notes += taking.state_exposures(folder, rows)
         if layout.shifts is not None:
             for i, row in enumerate(rows):
                 shift = layout.shifts[i] if i < len(layout.shifts) else (0.0, 0.0)
@@ -165,12 +154,12 @@ def _sorted_bands(folder: Path, bands: tuple[str, ...]) -> dict[str, dict[str, P
 
 def write_tables(folder: Path, settings: dict, rows: Sequence[dict[str, str]], lights: Lights | None = None) -> None:
     """Write capture.yaml, frames.csv (without columns that are empty) and, of a plane, lights.lp."""
-    (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
+    (folder / "capture.yaml").write_text(taking.settings_text(settings), encoding="utf-8")
     columns = [column for column in ORDER if any(row.get(column) for row in rows)]
     lines = [columns, *([row.get(column, "") for column in columns] for row in rows)]
-    (folder / "frames.csv").write_text(table_text(lines), encoding="utf-8")
+    (folder / "frames.csv").write_text(taking.table_text(lines), encoding="utf-8")
     if lights is not None:
-        (folder / "lights.lp").write_text(lights_text(lights.names, lights.vectors), encoding="utf-8")
+        (folder / "lights.lp").write_text(taking.lights_text(lights.names, lights.vectors), encoding="utf-8")
 
 
 def _write_intensities(path: Path, names: Sequence[str], values: np.ndarray, channels: tuple[str, ...]) -> None:
@@ -182,7 +171,7 @@ def _write_intensities(path: Path, names: Sequence[str], values: np.ndarray, cha
         expected, found = f"{len(channels)} columns", f"{values.shape[1]}"
         refuse("intensities-invalid", "light intensities", "table", expected=expected, found=found)
     rows = ([n, *(f"{v:.9g}" for v in row)] for n, row in zip(names, values, strict=True))
-    path.write_text(table_text([("light", *channels), *rows]), encoding="utf-8")
+    path.write_text(taking.table_text([("light", *channels), *rows]), encoding="utf-8")
 
 
 def write_round(folder: Path, layout: RoundLayout, source: Path, options: ConvertOptions) -> list[Problem]:
@@ -200,23 +189,25 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
     raise_errors(folder_problems(mask=options.mask))
     white, dark, link = options.white, options.dark, options.link
     folder.mkdir(parents=True)
-    header = usual_header(layout.photographs)
+    header = taking.usual_header(layout.photographs)
     outlines, notes = _match_silhouettes(layout, options.mask) if options.mask else ({}, ())
     notes = notes if options.mask else alpha_problems(layout.photographs[0])
     copies, masks = {}, tuple(dict.fromkeys(outlines.values()))
-    for path, file in zip(masks, file_names(masks), strict=True):
-        copies[path], doubts = take_mask(path, folder / "silhouettes" / file, link)
+    for path, file in zip(masks, taking.file_names(masks), strict=True):
+        copies[path], doubts = taking.take_mask(path, folder / "silhouettes" / file, link)
         notes = (*notes, *doubts)
     rows: list[dict[str, str]] = []
-    for i, (photograph, file) in enumerate(zip(layout.photographs, file_names(layout.photographs), strict=True)):
+    for i, (photograph, file) in enumerate(zip(layout.photographs, taking.file_names(layout.photographs), strict=True)):
         outline = copies[outlines[photograph]] if photograph in outlines else ""
         cells = {"view": layout.views[i], "polariser": layout.states[i], "silhouette": outline}
-        rows.append({"file": take(photograph, folder / "frames" / file, link), "role": "sample", **cells})
+        rows.append({"file": taking.take(photograph, folder / "frames" / file, link), "role": "sample", **cells})
     for board, state in _states_of(photographs_in(white), layout, str(white)) if white else ():
-        rows.append({"file": take(board, folder / "white" / board.name, link), "role": "white", "polariser": state})
+        rows.append(
+            {"file": taking.take(board, folder / "white" / board.name, link), "role": "white", "polariser": state}
+        )
     for photograph in photographs_in(dark) if dark else ():
-        rows.append({"file": take(photograph, folder / "dark" / photograph.name, link), "role": "dark"})
-    coding, doubts = choose_encoding(header, options.encoding, source.name, display=not any(layout.states))
+        rows.append({"file": taking.take(photograph, folder / "dark" / photograph.name, link), "role": "dark"})
+    coding, doubts = taking.choose_encoding(header, options.encoding, source.name, display=not any(layout.states))
     notes = (*notes, *doubts)
     block: dict = {}
     if layout.matrices is not None or layout.full_turn:
@@ -231,13 +222,13 @@ def write_round(folder: Path, layout: RoundLayout, source: Path, options: Conver
             columns, numbers = columns + LENS_COLUMNS, np.hstack([numbers, layout.distortions])
         # every digit that float64 has, so that reading gives the same matrices
         lines = ([v, *map(repr, n)] for v, n in zip(layout.views, numbers.tolist(), strict=True))
-        (folder / "cameras.csv").write_text(table_text([["view", *columns], *lines]), encoding="utf-8")
+        (folder / "cameras.csv").write_text(taking.table_text([["view", *columns], *lines]), encoding="utf-8")
     if layout.calibration is not None:
-        block["calibration"] = take(layout.calibration, folder / layout.calibration.name, link)
-    camera = {"channels": list(channel_names(header)), "encoding": coding}
+        block["calibration"] = taking.take(layout.calibration, folder / layout.calibration.name, link)
+    camera = {"channels": list(taking.channel_names(header)), "encoding": coding}
     settings = {"format": FORMAT, "title": options.title or source.name, "geometry": "turntable", "camera": camera}
     settings |= {"turntable": block} if block else {}
-    doubts = state_exposures(folder, rows)
+    doubts = taking.state_exposures(folder, rows)
     write_tables(folder, settings, rows)
     return [*notes, *doubts]
 
@@ -352,10 +343,10 @@ def write_table_capture(folder: Path, layout: MeasuredTable, source: Path, optio
     """Copy the unchanged table into a new folder; return no notes."""
     table = layout.file
     folder.mkdir(parents=True)
-    name = take(table, folder / table.name, options.link)
+    name = taking.take(table, folder / table.name, options.link)
     stated = {"values": options.values, "azimuths": options.azimuths}
     block = {"table": name} | {key: value for key, value in stated.items() if value}
     block |= {"symmetry": "unknown", "weave": "unknown"}
     settings = {"format": FORMAT, "title": options.title or table.stem, "geometry": "goniometer", "goniometer": block}
-    (folder / "capture.yaml").write_text(settings_text(settings), encoding="utf-8")
+    (folder / "capture.yaml").write_text(taking.settings_text(settings), encoding="utf-8")
     return []

@@ -11,27 +11,12 @@ from pathlib import Path, PurePath
 
 import numpy as np
 
+from nishiki.capture import rti_projects, stated_lights
 from nishiki.capture.frames import SourcePhotographs, inside
 from nishiki.capture.lights import Lights, light_name, lights_from_vectors, read_lights
 from nishiki.capture.options import ConvertOptions
 from nishiki.capture.pairing import find_bands
-from nishiki.capture.rti_projects import (
-    CROPPED,
-    RELIGHT_SUFFIXES,
-    find_project_lights,
-    find_project_photographs,
-    find_relight,
-    read_relight,
-)
 from nishiki.capture.spheres.optics import direction_from_sphere
-from nishiki.capture.stated_lights import (
-    StatedLights,
-    decide,
-    decide_strengths,
-    read_lights_file,
-    sample_photographs,
-    scale_to_middle,
-)
 from nishiki.capture.taking import read_grey
 from nishiki.formats.files import NAME_BYTES, bound, files_with, is_plain, leads_out, read_text, same_name
 from nishiki.formats.images import read_header
@@ -135,7 +120,7 @@ def find_lights_file(source: Path, options: ConvertOptions) -> Path | None:
     listed = files_with(source, (".lp",))
     file = options.lights_file or expect_one(listed, source, "several .lp files", "Name one: --lights FILE")
     if file is None and not (source / DIRECTIONS).is_file():
-        file = find_relight(source)
+        file = rti_projects.find_relight(source)
     rendered = is_relight_folder(source) or is_web_rti(source) or files_with(source, RELIGHTABLE)
     if file is None or photographs_in(source) or not rendered:
         return file
@@ -152,26 +137,26 @@ def read_with_lights_file(source: Path, file: Path, options: ConvertOptions) -> 
     return _complete(_with_lights(source, stated, file, options.mask or find_mask(source)), stated, file, options)
 
 
-def state_lights(source: Path, file: Path, options: ConvertOptions) -> StatedLights:
+def state_lights(source: Path, file: Path, options: ConvertOptions) -> stated_lights.StatedLights:
     """Read a lights file of any kind for the photographs in a folder or in those below it."""
-    if (file.suffix or file.name).lower() in RELIGHT_SUFFIXES:
-        return read_relight(file, options.lights_kind, options.width_mm)
+    if (file.suffix or file.name).lower() in rti_projects.RELIGHT_SUFFIXES:
+        return rti_projects.read_relight(file, options.lights_kind, options.width_mm)
     folders = [source, *(path for path in source.iterdir() if path.is_dir())] if source.is_dir() else []
     present = {path.name for folder in folders for path in files_with(folder, IMAGE_SUFFIXES)}
-    return read_lights_file(file, options.lights_kind, present)
+    return stated_lights.read_lights_file(file, options.lights_kind, present)
 
 
-def _complete(layout: Layout, stated: StatedLights, file: Path, options: ConvertOptions) -> Layout:
+def _complete(layout: Layout, stated: stated_lights.StatedLights, file: Path, options: ConvertOptions) -> Layout:
     """Complete the layout with further statements of the file and decisions based on the photographs."""
-    sample = cache(lambda: sample_photographs(layout.photographs, options.encoding))
+    sample = cache(lambda: stated_lights.sample_photographs(layout.photographs, options.encoding))
     if len(layout.lights.names) != len(stated.lights.names):  # a line a band
         stated = replace(stated, intensities=None, rival=None, shifts=None)
     stated, columns = replace(stated, lights=layout.lights), read_header(layout.photographs[0]).columns
-    stated = decide(stated, file.name, sample, columns, options.width_mm)
-    stated = decide_strengths(stated, file.name, sample)
-    stated = stated if options.white else scale_to_middle(stated, file.name, sample)
+    stated = stated_lights.decide(stated, file.name, sample, columns, options.width_mm)
+    stated = stated_lights.decide_strengths(stated, file.name, sample)
+    stated = stated if options.white else stated_lights.scale_to_middle(stated, file.name, sample)
     more = [note for note in stated.lights.warnings if note not in layout.warnings]
-    notes = [note for note in (*layout.warnings, *more) if not (options.region and note.kind == CROPPED)]
+    notes = [note for note in (*layout.warnings, *more) if not (options.region and note.kind == rti_projects.CROPPED)]
     return replace(
         layout,
         lights=stated.lights,
@@ -187,19 +172,19 @@ def _complete(layout: Layout, stated: StatedLights, file: Path, options: Convert
 def settle_directions(layout: Layout, options: ConvertOptions) -> Layout:
     """Estimate the distance of near lamps of known directions from the photographs."""
     kind = "position_mm" if options.lights_kind == "position_mm" else "direction"
-    stated = StatedLights(layout.lights, kind, intensities=layout.intensities)
+    stated = stated_lights.StatedLights(layout.lights, kind, intensities=layout.intensities)
     return _complete(layout, stated, Path(layout.name), options)
 
 
 def read_rtibuilder(source: Path, folders: dict[str, Path], options: ConvertOptions) -> Layout:
     """Read the lights of an RTIBuilder project, given or its own, and find the photographs they name, by stem."""
-    lights_file = options.lights_file or find_project_lights(source, folders)
+    lights_file = options.lights_file or rti_projects.find_project_lights(source, folders)
     stated = state_lights(source, lights_file, options)
     lights = stated.lights
     if all(file is None for file in lights.files):
         remedy = "Convert the folder of photographs with --lights"
         refuse("layout-unknown", lights_file.name, "the lights file names no photographs", remedy=remedy)
-    folder, others = find_project_photographs(source, folders, lights)
+    folder, others = rti_projects.find_project_photographs(source, folders, lights)
     layout = _with_lights(folder, stated, lights_file, options.mask or find_mask(source) or find_mask(folder))
     layout = _complete(layout, stated, lights_file, options)
     what = f"an RTIBuilder project: the lights of {lights_file.name} and the photographs of {folder.name}"
@@ -228,7 +213,7 @@ def masks_in(folder: Path) -> list[Path]:
     return masks
 
 
-def _with_lights(source: Path, stated: StatedLights, lights_file: Path, mask: Path | None) -> Layout:
+def _with_lights(source: Path, stated: stated_lights.StatedLights, lights_file: Path, mask: Path | None) -> Layout:
     """Match photographs to a lights file: by the names in it, else in the natural order of their names."""
     kind = "position_mm" if stated.open_kind else stated.kind
     banded = find_bands(source, stated.lights, photographs_in, kind=kind)

@@ -15,17 +15,10 @@ import numpy as np
 from pydantic import Field, field_validator, model_validator
 
 from nishiki.artifacts.closed import Closed
+from nishiki.capture import tables
 from nishiki.capture.frames import TABLE, BaseCapture, Frame, exposure_problems, inside, lamp_problems, state_problems
 from nishiki.capture.lights import Lights, read_lights
 from nishiki.capture.schema import Positive, Session
-from nishiki.capture.tables import (
-    Intrinsics,
-    arrange_cameras,
-    camera_centre,
-    read_cameras,
-    read_intrinsics,
-    read_points,
-)
 from nishiki.errors import require
 from nishiki.formats.files import bound
 from nishiki.formats.files import remedy as bound_remedy
@@ -281,7 +274,7 @@ def _camera_problems(
     ]
     if problems or len(views) < 3:
         return problems
-    turn = turn_of(np.array([camera_centre(matrices[view]) for view in views]))
+    turn = turn_of(np.array([tables.camera_centre(matrices[view]) for view in views]))
     full, where = turn is not None and turn.full, "capture.yaml turntable.full_turn"
     if stated and not full:
         steps = f"steps of {min(turn.steps_deg):.1f} to {max(turn.steps_deg):.1f} degrees" if turn else "no circle"
@@ -350,7 +343,7 @@ class TurntableCapture(BaseCapture):
     matrices: dict[str, np.ndarray] | None
     distortions: dict[str, tuple[float, ...]]
     points: dict[str, np.ndarray] | None
-    intrinsics: Intrinsics | None
+    intrinsics: tables.Intrinsics | None
     mesh: Path | None
     scans: tuple[Path, ...]
     calibration: Path | None
@@ -400,17 +393,17 @@ def examine_turntable(
     file, kind = (settings.lights.file, settings.lights.kind) if settings.lights else (None, "direction")
     listed = attempt(lambda: inside(payload, file, "capture.yaml lights.file")) if file else None
     lights = attempt(lambda: read_lights(listed, kind=kind, frontal=False)) if listed else None
-    table, intrinsics = from_file("cameras", read_cameras), from_file("intrinsics", read_intrinsics)
+    table, intrinsics = from_file("cameras", tables.read_cameras), from_file("intrinsics", tables.read_intrinsics)
     if not complete:
         return None, []
     frames = _name_lamps(read.frames, lights)
     samples = [f for f in frames if f.role == "sample"]
     views = tuple(dict.fromkeys(f.view for f in samples))
-    points = from_file("correspondences", lambda path, name: read_points(path, name, views))
+    points = from_file("correspondences", lambda path, name: tables.read_points(path, name, views))
     problems = turntable_problems(frames, views, lights, table.matrices if table else None, settings)
     if table is not None and (block.turn == "reverse" or block.camera_of):
         table = attempt(
-            lambda: arrange_cameras(table, views, reverse=block.turn == "reverse", camera_of=block.camera_of)
+            lambda: tables.arrange_cameras(table, views, reverse=block.turn == "reverse", camera_of=block.camera_of)
         )
     states = tuple(dict.fromkeys(f.polariser for f in samples))
     if set(states) == {"off", "on"}:

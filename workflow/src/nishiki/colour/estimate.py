@@ -13,20 +13,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from nishiki.colour import kernels
+from nishiki.colour import fitting, kernels
 from nishiki.colour.colour import delta_e_2000, illuminant, white_xyz, xyz_from_spectra, xyz_to_lab
-from nishiki.colour.fitting import (
-    LINEAR_GAMUT_EXCESS,
-    BasesRule,
-    Parts,
-    ResponseSpace,
-    SpectralProblem,
-    correction_table,
-    distances,
-    fit_paper,
-    fit_regression,
-    response_space,
-)
 from nishiki.colour.kernels import SpectralFlag
 from nishiki.colour.sampling import channel_weights, checked_spectra
 from nishiki.errors import UserError
@@ -96,7 +84,7 @@ def fit_estimator(
     sensitivities: np.ndarray,
     *,
     method: str = "local",
-    bases: int | BasesRule | None = None,
+    bases: int | fitting.BasesRule | None = None,
     noise: float = 0.005,
     white_width: float = 0.02,
     centres: int = 256,
@@ -164,13 +152,15 @@ def fit_estimator(
             raise UserError(f"spectra: {name} expected a number of at least {least:g}, found {value!r}; correct it")
     weights = channel_weights(illuminant, sensitivities)
     responses = spectra @ weights.T
-    problem = SpectralProblem(spectra, weights, responses, response_space(responses, noise=noise), noise)
+    problem = fitting.SpectralProblem(
+        spectra, weights, responses, fitting.response_space(responses, noise=noise), noise
+    )
     if method == "paper":
         if callable(bases):
             raise UserError("spectra: the method paper takes bases as a number, found a rule; give the number")
-        parts = fit_paper(problem, bases, white=white_width > 0)
+        parts = fitting.fit_paper(problem, bases, white=white_width > 0)
     else:
-        parts = fit_regression(problem, bases, None if method == "wiener" else centres)
+        parts = fitting.fit_regression(problem, bases, None if method == "wiener" else centres)
     estimator = _assemble(problem, parts, method, white_width)
     if white_width == 0:
         return estimator
@@ -269,10 +259,12 @@ def _tables(e: SpectralEstimator) -> kernels.Tables:
     )  # fmt: skip
 
 
-def _assemble(problem: SpectralProblem, parts: Parts, method: str, white_width: float) -> SpectralEstimator:
+def _assemble(
+    problem: fitting.SpectralProblem, parts: fitting.Parts, method: str, white_width: float
+) -> SpectralEstimator:
     space, local, size = problem.space, parts.correction, len(parts.basis)
     channels = problem.weights.shape[0]
-    table, origin, step = correction_table(local, space)
+    table, origin, step = fitting.correction_table(local, space)
     return SpectralEstimator(
         method=method,
         basis=parts.basis,
@@ -288,7 +280,7 @@ def _assemble(problem: SpectralProblem, parts: Parts, method: str, white_width: 
         radius=local.radius if local else 1.0,
         variance=local.variance if local else np.zeros(0),
         far_variance=parts.far_variance,
-        gamut_distance=local.gamut_distance if local else LINEAR_GAMUT_EXCESS,
+        gamut_distance=local.gamut_distance if local else fitting.LINEAR_GAMUT_EXCESS,
         table=table,
         table_origin=origin,
         table_step=step,
@@ -340,8 +332,8 @@ def expected_colour_error(
     seen = training @ weights.T
     estimated = estimate_spectra(seen, estimator).spectra()
     errors = np.array([colour_differences(estimated, training, light) for light in lights])
-    space = ResponseSpace(estimator.mean, estimator.whiten, estimator.low, estimator.high)
-    apart = distances(space.coordinates(np.asarray(responses, float)), space.coordinates(seen))
+    space = fitting.ResponseSpace(estimator.mean, estimator.whiten, estimator.low, estimator.high)
+    apart = fitting.distances(space.coordinates(np.asarray(responses, float)), space.coordinates(seen))
     count = min(NEIGHBOURS, len(training))
     nearest = np.argpartition(apart, count - 1, axis=1)[:, :count]
     return {light: row[nearest].mean(axis=1) for light, row in zip(lights, errors, strict=True)}

@@ -15,17 +15,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from nishiki.commands.declare import (
-    any_scene_argument,
-    command,
-    option,
-    profile_arguments,
-    scene_argument,
-    with_configuration,
-    with_cores,
-    with_gone,
-    with_profile,
-)
+from nishiki.commands import declare
 from nishiki.commands.inspecting import expect_packages, planned_workflow
 from nishiki.errors import UserError, require, unknown_scene
 from nishiki.formats.files import put_file
@@ -43,13 +33,13 @@ Formats of a cloth:    gltf, mitsuba, bsdf
 See docs/stages/export.md."""
 
 
-@command("export altarpiece normals relight", "export jar gltf --output for-the-web", epilog=FORMATS)
-@scene_argument
+@declare.command("export altarpiece normals relight", "export jar gltf --output for-the-web", epilog=FORMATS)
+@declare.scene_argument
 @click.argument("formats", nargs=-1, required=True, metavar="FORMAT...", help="what to write, see below")
-@option("--output FOLDER", "copy the files there, too; the folder must not exist")
-@with_configuration
-@with_cores
-@with_gone
+@declare.option("--output FOLDER", "copy the files there, too; the folder must not exist")
+@declare.with_configuration
+@declare.with_cores
+@declare.with_gone
 def export(scene, formats, output, configfile, cores, gone) -> int:
     """Write a scene's results in formats of other programs; stages that these need run first."""
     from nishiki.commands.engine import call_engine
@@ -61,7 +51,7 @@ def export(scene, formats, output, configfile, cores, gone) -> int:
     expect_packages(flow)
     stage = next(name for name in flow.plans[scene].stages if name.endswith("export"))
     target = flow.artifact(scene, stage)
-    options = [*profile_arguments("default", cores), "--config", f"exports={json.dumps(asked)}", "--", target]
+    options = [*declare.profile_arguments("default", cores), "--config", f"exports={json.dumps(asked)}", "--", target]
     if call_engine(flow, options, configfile=configfile, gone=gone):
         return 1
     made = Path(target).parent / "exports"
@@ -74,9 +64,9 @@ def export(scene, formats, output, configfile, cores, gone) -> int:
     return 0
 
 
-@command("table campaign.csv", "table campaign.parquet")
+@declare.command("table campaign.csv", "table campaign.parquet")
 @click.argument("file", help="file to write, .csv or .parquet (needs the extra export)")
-@with_configuration
+@declare.with_configuration
 def table(file: str, configfile: str) -> None:
     """Write the figures of all scenes as a table, one row per scene."""
     from nishiki.capture.taking import table_text
@@ -96,7 +86,7 @@ def table(file: str, configfile: str) -> None:
     print(f"{path}: {len(columns['scene'])} scenes, {finished} of them finished, {len(columns)} columns")
 
 
-@command("sweep config/sweeps/normals.yaml", passed_on=True)
+@declare.command("sweep config/sweeps/normals.yaml", passed_on=True)
 @click.argument(
     "words",
     nargs=-1,
@@ -105,10 +95,12 @@ def table(file: str, configfile: str) -> None:
     metavar="SWEEP... [SNAKEMAKE OPTION]...",
     help="files of sweeps, or names under `sweeps` in the configuration",
 )
-@option("--configfile FILE", "configuration (default: the one that the sweep's file names, else config/config.yaml)")
-@with_cores
-@with_profile
-@with_gone
+@declare.option(
+    "--configfile FILE", "configuration (default: the one that the sweep's file names, else config/config.yaml)"
+)
+@declare.with_cores
+@declare.with_profile
+@declare.with_gone
 def sweep(words, configfile, cores, profile, gone) -> int:
     """Run variants of settings, and plot their error against their run time.
 
@@ -137,7 +129,7 @@ def _one(named: str, configfile: str | None, where: tuple, gone: tuple[str, ...]
             f"timed: {', '.join(swept.counted)} ({timed} runs)"
         )
     target = flow.sweep_path("sweep.json")
-    options = [*profile_arguments(*where), "--keep-going", *rest]
+    options = [*declare.profile_arguments(*where), "--keep-going", *rest]
     options += ["--config", f"sweep={json.dumps(named)}", "--", target]
     status = call_engine(flow, options, configfile=configfile, gone=gone)
     if status or LOOKS_ONLY & set(rest):
@@ -168,10 +160,10 @@ OPENED_FIRST = (*VIEWERS, "report.html")
 """Pages of a scene in its folder `current`; the first that exists is opened."""
 
 
-@command("view", "view altarpiece", "view altarpiece --beside icon", "view --serve 8000")
-@any_scene_argument
-@with_configuration
-@option(
+@declare.command("view", "view altarpiece", "view altarpiece --beside icon", "view --serve 8000")
+@declare.any_scene_argument
+@declare.with_configuration
+@declare.option(
     "--serve [PORT]",
     "through a server for this machine alone, until Ctrl-C (default port: any that is free)",
     "port",
@@ -179,8 +171,8 @@ OPENED_FIRST = (*VIEWERS, "report.html")
     flag_value=0,
     is_flag=False,
 )
-@option("--print", "print the address only; open nothing", "print_only")
-@option(
+@declare.option("--print", "print the address only; open nothing", "print_only")
+@declare.option(
     "--beside OTHER",
     "another scene, or a folder of its viewer's results, on the left of a divider, under the same lamps",
     "other",

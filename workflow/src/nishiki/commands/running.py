@@ -12,18 +12,8 @@ from pathlib import Path
 
 import click
 
+from nishiki.commands import declare
 from nishiki.commands.capturing import convert_options
-from nishiki.commands.declare import (
-    command,
-    names_of_scenes,
-    option,
-    profile_arguments,
-    profile_folder,
-    with_configuration,
-    with_cores,
-    with_gone,
-    with_profile,
-)
 from nishiki.errors import UserError
 from nishiki.installation import INSTALLED, PROJECT, SCRIPTS
 
@@ -31,7 +21,7 @@ NAMED = 20
 """Most unfinished or failed scenes that are printed by name."""
 
 
-@command(
+@declare.command(
     "run                                   # every scene of config/scenes.tsv",
     "run altarpiece                        # one scene",
     "run my-photographs/ --width-mm 320    # converted, checked, added to the table, digitised",
@@ -44,18 +34,18 @@ NAMED = 20
     nargs=-1,
     type=click.UNPROCESSED,
     metavar="[SCENE|FOLDER]...",
-    shell_complete=names_of_scenes,
+    shell_complete=declare.names_of_scenes,
     help="scenes, captures, or folders of photographs, which are converted (default: every scene of the table)",
 )
-@with_configuration
-@with_cores
-@with_profile
-@with_gone
-@option(
+@declare.with_configuration
+@declare.with_cores
+@declare.with_profile
+@declare.with_gone
+@declare.option(
     "--stop-at-first-failure", "end the run when a scene fails or cannot be planned (default: go on with the others)"
 )
-@option("--name SCENE", "name of the scene made from a folder (default: name of the folder)")
-@option("--open", "open the page of the result in the browser", "open_page")
+@declare.option("--name SCENE", "name of the scene made from a folder (default: name of the folder)")
+@declare.option("--open", "open the page of the result in the browser", "open_page")
 @convert_options
 def run(words, configfile, cores, profile, gone, stop_at_first_failure, name, open_page, **given) -> int:
     """Digitise folders of photographs, or scenes of the scene table.
@@ -94,8 +84,8 @@ def split_words(words: Sequence[str]) -> tuple[list[str], list[str]]:
     try:
         targets = parse_words(words)
     except LookupError as unknown:
-        option, others = unknown.args
-        raise click.NoSuchOption(option, possibilities=[*known, *others], ctx=context) from None
+        name, others = unknown.args
+        raise click.NoSuchOption(name, possibilities=[*known, *others], ctx=context) from None
     passed = list(words)[::-1]
     for target in targets:  # of equal words the last is the target, those before it may be values
         passed.remove(target)
@@ -128,8 +118,8 @@ def run_scenes(
     for message in list(flow.refused.values())[:NAMED]:
         print(f"nishiki run: left out: {message}", file=sys.stderr)
     expect_packages(flow)
-    by_name = profile_arguments(profile, cores, (map(Path, flow.artifacts(scene)) for scene in flow.plans))
-    targets_named = names_targets(passed, load_yaml(profile_folder(profile) / "config.yaml"))
+    by_name = declare.profile_arguments(profile, cores, (map(Path, flow.artifacts(scene)) for scene in flow.plans))
+    targets_named = names_targets(passed, load_yaml(declare.profile_folder(profile) / "config.yaml"))
     # Snakemake hears of unfinished scenes by itself; where it decides, the named scenes are its targets.
     targets = [f"{flow.results}/{scene}/current/index.json" for scene in flow.plans] if scenes else []
     options = [
@@ -227,10 +217,10 @@ DEMOS = {
 """Preset of the simulator, configuration, and the text printed beforehand; times with compiled kernels."""
 
 
-@command("demo", "demo --object", "demo --cloth", passed_on=True)
-@option("--object", "simulate a jar on a turntable instead", "jar")
-@option("--cloth", "simulate a satin on a gonioreflectometer instead", "satin")
-@option("--rig", "let a simulated dome take the photographs of the painting (needs the extra rig)", "dome")
+@declare.command("demo", "demo --object", "demo --cloth", passed_on=True)
+@declare.option("--object", "simulate a jar on a turntable instead", "jar")
+@declare.option("--cloth", "simulate a satin on a gonioreflectometer instead", "satin")
+@declare.option("--rig", "let a simulated dome take the photographs of the painting (needs the extra rig)", "dome")
 @click.argument("rest", nargs=-1, type=click.UNPROCESSED, metavar="[SNAKEMAKE OPTION]...")
 def demo(jar: bool, satin: bool, dome: bool, rest: tuple[str, ...]) -> int:
     """Simulate a painting, digitise it and name its report.
@@ -285,14 +275,14 @@ def photograph_by_rig(by_hand: Path, folder: Path, capture: Path) -> int:
     bench = PaintingBench(by_hand, folder)
     try:
         rig, plan = write_rig(bench, by_hand, folder)
-        command = ["rig", "run", str(rig), str(plan), str(capture)]
-        print(f"nishiki {' '.join(command)}", file=sys.stderr)
-        return run_at_terminal([sys.executable, "-m", "nishiki", *command], bench.obey)
+        arguments = ["rig", "run", str(rig), str(plan), str(capture)]
+        print(f"nishiki {' '.join(arguments)}", file=sys.stderr)
+        return run_at_terminal([sys.executable, "-m", "nishiki", *arguments], bench.obey)
     finally:
         bench.close()
 
 
-@command(
+@declare.command(
     "simulate --output captures/small --truth captures/small-truth --preset tiny", passed_on=True, add_help_option=False
 )
 @click.argument("rest", nargs=-1, type=click.UNPROCESSED)

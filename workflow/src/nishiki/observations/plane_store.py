@@ -27,15 +27,7 @@ from nishiki.capture.frames import Frame
 from nishiki.capture.lights import direction_problems
 from nishiki.formats.problems import Problem, error_text, name_some, raise_errors, warning
 from nishiki.formats.stored import BandedGroup, chunk_path, write_chunk
-from nishiki.observations.consistency import (
-    ReducedPhotographs,
-    ambient_problems,
-    dark_problems,
-    movement_problems,
-    pair_problems,
-    useless_photographs,
-    useless_problems,
-)
+from nishiki.observations import consistency
 from nishiki.observations.frames import (
     ALL_SATURATED,
     FrameReader,
@@ -92,13 +84,13 @@ class Corrections:
     problems: tuple[Problem, ...] = ()  # warnings, one for each kind of correction
 
 
-def find_corrections(reader: FrameReader, reduced: ReducedPhotographs, wishes: Wishes) -> Corrections:
+def find_corrections(reader: FrameReader, reduced: consistency.ReducedPhotographs, wishes: Wishes) -> Corrections:
     """Measure the photographs of a plane against each other, and decide on corrections; reduced: all observed ones.
 
     Raises CaptureError: dark-bright; lights-few or lights-coplanar, where too few photographs remain.
     """
     capture, frames = reader.capture, reader.capture.observed
-    raise_errors(dark_problems(reduced.darker))
+    raise_errors(consistency.dark_problems(reduced.darker))
     judgement = reduced.judge([capture.lights.index(frame.light) for frame in frames])
     if judgement is None:
         motions, channels = dict(reader.motions), len(reader.names)
@@ -106,9 +98,9 @@ def find_corrections(reader: FrameReader, reduced: ReducedPhotographs, wishes: W
     registers, lamps = wishes.registration == "auto", judgement.lamps
     own, together = (judgement.values, judgement.before), (judgement.aligned, judgement.consistency)
     values, found = together if registers else own
-    problems = movement_problems(judgement, registers) + pair_problems(judgement, capture)
-    useless, leaves = useless_photographs(judgement, found), wishes.leave_out == "auto"
-    problems += useless_problems(useless, judgement.names, leaves)
+    problems = consistency.movement_problems(judgement, registers) + consistency.pair_problems(judgement, capture)
+    useless, leaves = consistency.useless_photographs(judgement, found), wishes.leave_out == "auto"
+    problems += consistency.useless_problems(useless, judgement.names, leaves)
     kept = np.arange(len(frames))
     if useless and leaves:
         kept = np.array([j for j in kept if j not in useless], np.int64)
@@ -200,7 +192,7 @@ def _choose_ambient(
         if alone is not None and alone.ambient > SURE * alone.ambient_sigma:
             levels[channel] = alone.ambient
     subtracts = wishes.ambient == "auto"
-    return np.array(levels) if subtracts else none, ambient_problems(found, capture, subtracts)
+    return np.array(levels) if subtracts else none, consistency.ambient_problems(found, capture, subtracts)
 
 
 def _list_measurements(
@@ -266,7 +258,7 @@ def write_observations(
     reader = replace(reader, room=measure_room(reader, darks, tick))
     group = BandedGroup.create(Path(folder) / STORE)
     band_rows = rows_of_band(len(capture.observed), rows, columns, len(reader.names), settings.tile_mib)
-    reduced = ReducedPhotographs(reader, darks, mask, gains.gain)
+    reduced = consistency.ReducedPhotographs(reader, darks, mask, gains.gain)
     found: dict[int, tuple] = {}
 
     def store(number: int, codes: np.ndarray) -> None:

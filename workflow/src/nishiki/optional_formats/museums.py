@@ -14,18 +14,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 from xml.etree import ElementTree as XML
 
-from nishiki.artifacts.packed import (
-    METADATA,
-    Entity,
-    PackedScene,
-    PackedStage,
-    days_of,
-    end_time,
-    ids,
-    is_address,
-    json_text,
-    start_time,
-)
+from nishiki.artifacts import packed
 from nishiki.artifacts.provenance import canonical
 
 LIDO = "lido.xml"
@@ -34,7 +23,7 @@ NAMES = {"URI": "00099", "LOCAL": "00100", "INVENTORY_NUMBER": "00113", "ITEM": 
 """Numbers in the terminology of LIDO: kinds of identifiers, and the record of a single object."""
 
 
-def lido_text(scene: PackedScene) -> str:
+def lido_text(scene: packed.PackedScene) -> str:
     """Write the record as XML, by the template `lido.xml.j2`.
 
     Raises
@@ -46,13 +35,13 @@ def lido_text(scene: PackedScene) -> str:
 
     def days(text: str) -> list[str]:
         """Return the first and the last day of a date, none of a text that is none."""
-        return [moment.partition("T")[0] for moment in days_of(text) or ()]
+        return [moment.partition("T")[0] for moment in packed.days_of(text) or ()]
 
     loader = jinja2.PackageLoader("nishiki.optional_formats", ".")
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined)
     words = {name: f"{TERMS}lido{number}" for name, number in NAMES.items()}
     facts = {"identifier": f"{scene.name}/sha256:{scene.digest}", "made": _is_made(scene), "days": days}
-    text = environment.get_template("lido.xml.j2").render(scene=scene, is_address=is_address, **facts, **words)
+    text = environment.get_template("lido.xml.j2").render(scene=scene, is_address=packed.is_address, **facts, **words)
     try:
         record = XML.fromstring(text)
     except XML.ParseError as error:
@@ -71,18 +60,18 @@ CONTEXT = {
 }
 
 
-def crm_graph(scene: PackedScene) -> Entity:
+def crm_graph(scene: packed.PackedScene) -> packed.Entity:
     """Build the graph of a scene: object, digitisation, capture, stages, and the crate that holds them."""
     folders = ["capture/", *(stage.folder for stage in scene.stages)]
     crate = _node("./", "dig:D1_Digital_Object", scene.about_value("title") or scene.name)
-    crate |= {"crm:P106_is_composed_of": ids(folders), "crm:P129_is_about": {"@id": _identifier("object")}}
+    crate |= {"crm:P106_is_composed_of": packed.ids(folders), "crm:P129_is_about": {"@id": _identifier("object")}}
     software = _node("code/Snakefile", "dig:D14_Software", f"Nishiki {scene.version}")
     stages = [entity for stage in scene.stages for entity in _stage(stage)]
     described = [*_object(scene), *_production_node(scene), *_digitisation_node(scene), *_capture(scene)]
     return {"@context": CONTEXT, "@graph": [crate, *described, software, *stages]}
 
 
-def _object(scene: PackedScene) -> list[Entity]:
+def _object(scene: packed.PackedScene) -> list[packed.Entity]:
     """Describe the object, its keeper and its place."""
     kind = "crm:E22_Human-Made_Object" if _is_made(scene) else "crm:E19_Physical_Object"
     node = _node(_identifier("object"), kind, scene.about_value("title"))
@@ -105,11 +94,11 @@ def _object(scene: PackedScene) -> list[Entity]:
     return nodes
 
 
-def _is_made(scene: PackedScene) -> bool:
+def _is_made(scene: packed.PackedScene) -> bool:
     return bool(scene.about_value("object_maker") or scene.about_value("object_made"))
 
 
-def _production_node(scene: PackedScene) -> list[Entity]:
+def _production_node(scene: packed.PackedScene) -> list[packed.Entity]:
     """Describe the production of the object: people and dates."""
     if not _is_made(scene):
         return []
@@ -124,7 +113,7 @@ def _production_node(scene: PackedScene) -> list[Entity]:
     return nodes
 
 
-def _digitisation_node(scene: PackedScene) -> list[Entity]:
+def _digitisation_node(scene: packed.PackedScene) -> list[packed.Entity]:
     """Describe the digitisation: object, photographer, date, camera and technique."""
     event = _node(_identifier("digitisation"), "dig:D2_Digitization_Process", f"Photographs of {scene.name}")
     event |= {"dig:L1_digitized": {"@id": _identifier("object")}, "dig:L20_has_created": {"@id": "capture/"}}
@@ -144,7 +133,7 @@ def _digitisation_node(scene: PackedScene) -> list[Entity]:
     return nodes
 
 
-def _capture(scene: PackedScene) -> list[Entity]:
+def _capture(scene: packed.PackedScene) -> list[packed.Entity]:
     """Describe the sealed photographs and the rights in them."""
     capture = _node("capture/", "dig:D9_Data_Object", "Sealed capture")
     capture["crm:P1_is_identified_by"] = _appellation_node("crm:E42_Identifier", f"sha256:{scene.digest}")
@@ -153,21 +142,21 @@ def _capture(scene: PackedScene) -> list[Entity]:
     rights = scene.about_value("rights")
     if not rights:
         return [capture]
-    place = rights if is_address(rights) else _identifier("rights")
+    place = rights if packed.is_address(rights) else _identifier("rights")
     capture["crm:P104_is_subject_to"] = {"@id": place}
     return [capture, _node(place, "crm:E30_Right", rights)]
 
 
-def _stage(stage: PackedStage) -> list[Entity]:
+def _stage(stage: packed.PackedStage) -> list[packed.Entity]:
     """Describe the run of a stage, its settings and its result."""
     run = _node(_identifier(f"run-{stage.name}"), "dig:D10_Software_Execution", f"{stage.name}: {stage.does}")
     run |= {
         "dig:L23_used_software_or_firmware": {"@id": "code/Snakefile"},
-        "dig:L2_used_as_source": ids(stage.sources),
+        "dig:L2_used_as_source": packed.ids(stage.sources),
         "dig:L13_used_parameters": {"@id": _identifier(f"settings-{stage.name}")},
         "dig:L11_had_output": {"@id": stage.folder},
-        "dig:L31_has_starting_date-time": _moment(start_time(stage)),
-        "dig:L32_has_ending_date-time": _moment(end_time(stage)),
+        "dig:L31_has_starting_date-time": _moment(packed.start_time(stage)),
+        "dig:L32_has_ending_date-time": _moment(packed.end_time(stage)),
     }
     settings = _node(_identifier(f"settings-{stage.name}"), "dig:D1_Digital_Object", f"settings of {stage.name}")
     settings["crm:P190_has_symbolic_content"] = canonical(stage.manifest["settings"])
@@ -177,24 +166,24 @@ def _stage(stage: PackedStage) -> list[Entity]:
     return [run, settings, result]
 
 
-def _time_span(text: str) -> Entity:
-    span: Entity = {"@type": "crm:E52_Time-Span", "label": text, "crm:P82_at_some_time_within": text}
-    if days := days_of(text):
+def _time_span(text: str) -> packed.Entity:
+    span: packed.Entity = {"@type": "crm:E52_Time-Span", "label": text, "crm:P82_at_some_time_within": text}
+    if days := packed.days_of(text):
         span["crm:P82a_begin_of_the_begin"], span["crm:P82b_end_of_the_end"] = map(_moment, days)
     return span
 
 
-def _moment(text: str) -> Entity:
+def _moment(text: str) -> packed.Entity:
     return {"@type": "xsd:dateTime", "@value": text}
 
 
-def _actor(name: str, text: str) -> Entity:
+def _actor(name: str, text: str) -> packed.Entity:
     actor = _node(_identifier(name), "crm:E39_Actor", text)
     actor["crm:P1_is_identified_by"] = _appellation_node("crm:E41_Appellation", text)
     return actor
 
 
-def _appellation_node(kind: str, text: str) -> Entity:
+def _appellation_node(kind: str, text: str) -> packed.Entity:
     return {"@type": kind, "crm:P190_has_symbolic_content": text}
 
 
@@ -204,20 +193,20 @@ def _node(place: str, kind: str, label: str) -> dict[str, Any]:
 
 def _identifier(name: str) -> str:
     """Return an identifier of the crate's description."""
-    return f"{METADATA}#{name}"
+    return f"{packed.METADATA}#{name}"
 
 
 class SceneRecord(NamedTuple):
     """A description of a packed scene."""
 
     standard: str
-    text: Callable[[PackedScene], str]  # ValueError where capture.yaml has a text that the format cannot hold
+    text: Callable[[packed.PackedScene], str]  # ValueError where capture.yaml has a text that the format cannot hold
 
 
 CRM = "CIDOC Conceptual Reference Model 7.1 with CRMdig 3.2"
 RECORDS = {
     LIDO: SceneRecord("LIDO 1.1", lido_text),
-    CIDOC_CRM: SceneRecord(CRM, lambda scene: json_text(crm_graph(scene))),
+    CIDOC_CRM: SceneRecord(CRM, lambda scene: packed.json_text(crm_graph(scene))),
 }
 """Descriptions by the names of their files in the crate."""
 IN_WORDS = f"""\

@@ -18,28 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from nishiki.photometric.consistency import (
-    FEWEST_PIXELS,
-    LARGEST_MISFIT,
-    LEAST_GAIN,
-    LEAST_MATT,
-    SURE,
-    is_even,
-    law_errors,
-    may_shine,
-)
-from nishiki.photometric.lambert_fit import (
-    FEWEST_LAMPS,
-    GRAZING,
-    KINK,
-    ROUNDS,
-    Fit,
-    fit_lambert,
-    median_of_lights,
-    regress,
-    return_none_if_undetermined,
-    spread_pixels,
-)
+from nishiki.photometric import consistency, lambert_fit
 
 FIRST, HOLD = 1.0, 0.001  # of the information on a gain, that it is 1: first firmly, for the normals that most lamps
 # agree on, then hardly: those of a flat object would drift to any tilt of it
@@ -61,7 +40,7 @@ class BoardPairs:
     alone: np.ndarray  # (lights,) bool: photographs that no board explains
 
 
-@return_none_if_undetermined
+@lambert_fit.return_none_if_undetermined
 def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> BoardPairs | None:
     """Find the boards that belong to the photographs.
 
@@ -82,9 +61,9 @@ def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> Bo
     from scipy.optimize import linear_sum_assignment
 
     count, rows, columns = values.shape
-    places, patches = spread_pixels(values)
+    places, patches = lambert_fit.spread_pixels(values)
     whites, divided = (stack.reshape(count, -1)[:, places].astype(np.float64) for stack in (boards, values))
-    if count < FEWEST_LAMPS or np.isfinite(np.log(whites)).sum(axis=1).min() < FEWEST_PIXELS:
+    if count < lambert_fit.FEWEST_LAMPS or np.isfinite(np.log(whites)).sum(axis=1).min() < consistency.FEWEST_PIXELS:
         return None
     photographs = divided * whites
     vectors = lamps if lamps.ndim == 2 else lamps.reshape(count, -1, 3)[:, places]
@@ -92,40 +71,40 @@ def pair_boards(values: np.ndarray, boards: np.ndarray, lamps: np.ndarray) -> Bo
     directions = lamps.mean(axis=1)
     down, across = np.divmod(places, columns)
     terms = np.stack([np.ones(len(places)), across - across.mean(), down - down.mean()], axis=1) / (1, columns, rows)
-    of_boards = regress(terms[None], np.log(whites), np.isfinite(np.log(whites)), patches)[0].T
+    of_boards = lambert_fit.regress(terms[None], np.log(whites), np.isfinite(np.log(whites)), patches)[0].T
     photographs = _without_gloss(photographs, whites, lamps, patches, terms)
     listed = order = np.arange(count)
-    stay = SURE**2 / 2 * (1 - np.eye(count))
+    stay = consistency.SURE**2 / 2 * (1 - np.eye(count))
     for fits in range(FITS):
-        fit = fit_lambert(photographs / whites[order], lamps, patches, hold=HOLD if fits else FIRST)
+        fit = lambert_fit.fit_lambert(photographs / whites[order], lamps, patches, hold=HOLD if fits else FIRST)
         misfit, of_photographs = _measure(photographs / whites[order], fit, terms, patches)
         shown, last = of_photographs + of_boards[:, order], order
-        course, variance = law_errors(TWICE * misfit, directions)
+        course, variance = consistency.law_errors(TWICE * misfit, directions)
         covariances = np.stack([course + COMMON] * len(shown))
         covariances[0] += fit.covariance / np.outer(fit.gains, fit.gains)
         for turn in range(TURNS):
             gains = shown - of_boards[:, order]
-            rest, least = gains - gains.mean(axis=1, keepdims=True), variance + LEAST_GAIN**2
+            rest, least = gains - gains.mean(axis=1, keepdims=True), variance + consistency.LEAST_GAIN**2
             if fits + turn:  # at first the mean is right in any order of the boards
                 # less the best linear prediction of the part that the law correlates; the rest is more of outliers
                 rest = gains - np.median(gains, axis=1, keepdims=True)
-                for _ in range(ROUNDS):
-                    own = (least + np.square(rest / KINK))[:, :, None] * np.eye(count)
+                for _ in range(lambert_fit.ROUNDS):
+                    own = (least + np.square(rest / lambert_fit.KINK))[:, :, None] * np.eye(count)
                     rest = (own @ np.linalg.solve(covariances + own, gains[:, :, None]))[:, :, 0]
             spread = np.maximum(least, (1.4826 * np.median(np.abs(rest), axis=1)) ** 2)
             levels = rest + of_boards[:, order]
             squares = np.square(levels[:, :, None] - of_boards[:, None, :]) / spread[:, None, None]
-            cost = np.minimum(squares.sum(axis=0), SURE**2)
+            cost = np.minimum(squares.sum(axis=0), consistency.SURE**2)
             if not np.isfinite(cost).all():
                 return None
             order = linear_sum_assignment(cost if fits < FREE else cost + stay)[1]
         if fits >= FREE and (order == last).all():
             break
-    if not (misfit < LARGEST_MISFIT and is_even(fit.gains, directions, but_one=True)):
+    if not (misfit < consistency.LARGEST_MISFIT and consistency.is_even(fit.gains, directions, but_one=True)):
         return None
     before, after = (levels[0] - of_boards[0, some] for some in (listed, order))
     facing = directions[:, 2]
-    alone = (order == listed) & (np.abs(before) > np.maximum(ALONE, SURE * np.sqrt(spread[0])))
+    alone = (order == listed) & (np.abs(before) > np.maximum(ALONE, consistency.SURE * np.sqrt(spread[0])))
     alone &= np.where(before < 0, facing > GRAZED, facing < FACING)
     return BoardPairs(order, before, after, alone)
 
@@ -137,28 +116,32 @@ def _without_gloss(
 
     photographs, whites (lights, pixels); lamps (lights, pixels or 1, 3); patches, terms: see `_measure`.
     """
-    fit = fit_lambert(photographs / whites, lamps, patches, hold=FIRST)
-    matt = np.where(may_shine(lamps, fit.normals), np.nan, photographs)
-    few = np.isfinite(matt).sum(axis=0) < FEWEST_LAMPS
+    fit = lambert_fit.fit_lambert(photographs / whites, lamps, patches, hold=FIRST)
+    matt = np.where(consistency.may_shine(lamps, fit.normals), np.nan, photographs)
+    few = np.isfinite(matt).sum(axis=0) < lambert_fit.FEWEST_LAMPS
     matt[:, few] = photographs[:, few]
     left, known = (np.isfinite(each).sum(axis=1) for each in (matt, photographs))
-    if (left < np.maximum(LEAST_MATT * known, 2 * FEWEST_PIXELS)).any():
+    if (left < np.maximum(consistency.LEAST_MATT * known, 2 * consistency.FEWEST_PIXELS)).any():
         return photographs
-    fits = [(photographs, fit), (matt, fit_lambert(matt / whites, lamps, patches, hold=FIRST))]
+    fits = [(photographs, fit), (matt, lambert_fit.fit_lambert(matt / whites, lamps, patches, hold=FIRST))]
     return min(fits, key=lambda each: _measure(each[0] / whites, each[1], terms, patches)[0])[0]
 
 
-def _measure(values: np.ndarray, fit: Fit, terms: np.ndarray, patches: np.ndarray) -> tuple[float, np.ndarray]:
+def _measure(
+    values: np.ndarray, fit: lambert_fit.Fit, terms: np.ndarray, patches: np.ndarray
+) -> tuple[float, np.ndarray]:
     """Measure the usual misfit of photographs (lights, pixels), their log gains and slopes (3, lights).
 
     Of photographs that show too little, which keep their boards, these are 0.
     """
     predictions = values - fit.alone
     shown, used = np.zeros((3, len(values))), fit.weights > 0
-    judged = used.sum(axis=1) >= FEWEST_PIXELS
+    judged = used.sum(axis=1) >= consistency.FEWEST_PIXELS
     predictions, used = predictions[judged], used[judged]
-    sizes, levels = (median_of_lights(np.where(used, v, np.nan).T) for v in (np.abs(fit.alone[judged]), predictions))
-    factors, _ = regress(predictions[:, :, None] * terms, values[judged], used, patches)
-    first = np.maximum(factors[:, 0], GRAZING**2)
+    sizes, levels = (
+        lambert_fit.median_of_lights(np.where(used, v, np.nan).T) for v in (np.abs(fit.alone[judged]), predictions)
+    )
+    factors, _ = lambert_fit.regress(predictions[:, :, None] * terms, values[judged], used, patches)
+    first = np.maximum(factors[:, 0], lambert_fit.GRAZING**2)
     shown[:, judged] = np.log(fit.gains[judged] * first), *(factors[:, 1:].T / first)
     return float(np.nanmedian(sizes / levels)), shown

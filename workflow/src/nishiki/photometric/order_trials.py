@@ -23,18 +23,8 @@ from functools import cached_property
 
 import numpy as np
 
+from nishiki.photometric import lambert_fit
 from nishiki.photometric.flags import NOISE
-from nishiki.photometric.lambert_fit import (
-    FEWEST_LAMPS,
-    GRAZING,
-    KINK,
-    Fit,
-    fit_lambert,
-    lit_and_dark,
-    median_of_lights,
-    scale_of,
-    solve_normals,
-)
 
 TILE = 8  # side of a tile, pixels of the reduced picture: one observation
 FEWEST_TILES, MOST_TILES = 12, 140  # a mean of fewer has no useful error; more only take time
@@ -62,7 +52,7 @@ class Tiles:
         values = self.values.reshape(count, number, -1)[:, :, :: TILE * TILE // PER_TILE]
         tile = np.arange(number).repeat(values.shape[2])
         values = values.reshape(count, -1)
-        usable = np.isfinite(values).sum(axis=0) >= FEWEST_LAMPS
+        usable = np.isfinite(values).sum(axis=0) >= lambert_fit.FEWEST_LAMPS
         return values[:, usable], tile[usable]
 
 
@@ -71,7 +61,7 @@ class OrderTrial:
     """An order with its fit."""
 
     order: np.ndarray
-    fit: Fit
+    fit: lambert_fit.Fit
     misfit: np.ndarray  # (lights, tiles) relative to the albedo
     normals: np.ndarray  # (tiles, side, side, 3) albedo times normal
     energies: np.ndarray  # (tiles, 6) of the derivatives that AXES names and of those turned; NaN: no turn
@@ -84,7 +74,7 @@ def cut_tiles(values: np.ndarray, lamps: np.ndarray) -> Tiles | None:
     """Cut tiles spread over the object out of the pictures; None where they are too few."""
     count, rows, columns = values.shape
     high, wide = rows // TILE, columns // TILE
-    if count < FEWEST_LAMPS or high * wide < FEWEST_TILES:
+    if count < lambert_fit.FEWEST_LAMPS or high * wide < FEWEST_TILES:
         return None
     up, left = (rows - high * TILE) // 2, (columns - wide * TILE) // 2
 
@@ -94,7 +84,7 @@ def cut_tiles(values: np.ndarray, lamps: np.ndarray) -> Tiles | None:
         return np.moveaxis(part.reshape(shape), 3, 2).reshape(len(part), high * wide, TILE, TILE, *part.shape[3:])
 
     tiles = cut(values)
-    known = np.isfinite(tiles).sum(axis=0) >= max(FEWEST_LAMPS, count // 2)
+    known = np.isfinite(tiles).sum(axis=0) >= max(lambert_fit.FEWEST_LAMPS, count // 2)
     level = np.nanmax(np.where(np.isfinite(tiles), tiles, 0.0), axis=0)
     known &= level > 0.05 * np.quantile(level[known], 0.9) if known.any() else known
     chosen = np.flatnonzero(known.mean(axis=(1, 2)) > 0.6)
@@ -122,14 +112,14 @@ def try_order(tiles: Tiles, order: np.ndarray) -> OrderTrial | None:
     count, number = tiles.values.shape[:2]
     lamps = tiles.lamps[order]
     sample, patches = tiles.sample
-    fit = fit_lambert(sample, lamps[:, patches] if lamps.shape[1] > 1 else lamps, patches)
+    fit = lambert_fit.fit_lambert(sample, lamps[:, patches] if lamps.shape[1] > 1 else lamps, patches)
     if not np.isfinite(fit.gains).all():
         return None
     sizes = np.where(np.isfinite(sample), np.abs(fit.alone), np.nan) / np.linalg.norm(fit.normals, axis=1)
-    misfit = np.stack([median_of_lights(sizes[:, patches == tile].T) for tile in range(number)], axis=1)
+    misfit = np.stack([lambert_fit.median_of_lights(sizes[:, patches == tile].T) for tile in range(number)], axis=1)
     flat = tiles.values.reshape(count, -1)
     normals = _robust_normals(flat, lamps, fit).reshape(number, TILE, TILE, 3)
-    grazing = normals[..., 2:] < GRAZING * np.linalg.norm(normals, axis=-1, keepdims=True)
+    grazing = normals[..., 2:] < lambert_fit.GRAZING * np.linalg.norm(normals, axis=-1, keepdims=True)
     least = LEAST_TURN_DEG * loosen(count)
     slopes = measure_slopes(np.where(grazing, np.nan, normals), tiles.middles, least)
     return OrderTrial(order, fit, misfit, normals, *slopes)
@@ -151,9 +141,9 @@ def tabulate_misfits(tiles: Tiles, trial: OrderTrial, turn: np.ndarray) -> np.nd
         if known.sum() < FEWEST_TILES:
             continue
         here, there = values[known], shading[:, known]
-        gains = np.median(here) / np.maximum(np.median(there, axis=1), GRAZING)
+        gains = np.median(here) / np.maximum(np.median(there, axis=1), lambert_fit.GRAZING)
         for _ in range(2):
-            weights = 1 / (GRAZING**2 + np.abs(here - gains[:, None] * there))
+            weights = 1 / (lambert_fit.GRAZING**2 + np.abs(here - gains[:, None] * there))
             gains = (weights * there * here).sum(axis=1) / np.maximum((weights * there**2).sum(axis=1), 1e-12)
         sizes = np.minimum(np.abs(here - gains[:, None] * there), 1.0)
         shown, first, pixels = np.unique(patches[known], return_index=True, return_counts=True)
@@ -162,19 +152,19 @@ def tabulate_misfits(tiles: Tiles, trial: OrderTrial, turn: np.ndarray) -> np.nd
     return table
 
 
-def _robust_normals(values: np.ndarray, lamps: np.ndarray, fit: Fit) -> np.ndarray:
+def _robust_normals(values: np.ndarray, lamps: np.ndarray, fit: lambert_fit.Fit) -> np.ndarray:
     """Solve for albedo times normal (pixels, 3) of all pixels with the gains of a fit, by four reweighted rounds."""
     vectors = fit.gains[:, None, None] * (lamps if lamps.shape[1] == 1 else lamps.repeat(TILE * TILE, axis=1))
     known = np.isfinite(values)
     filled, weights = np.where(known, values, 0.0), known.astype(np.float64)
     for _ in range(4):
-        normals, _ = solve_normals(weights, filled, vectors)
+        normals, _ = lambert_fit.solve_normals(weights, filled, vectors)
         albedo = np.linalg.norm(normals, axis=1) + 1e-300
         cosine = np.einsum("jsa,sa->js", vectors, normals)
-        lit, _ = lit_and_dark(known, filled, cosine, albedo)
-        scale = scale_of(filled - cosine, lit, albedo)
-        weights = lit / (1 + ((filled - cosine) / (KINK * scale)) ** 2)
-    normals[known.sum(axis=0) < FEWEST_LAMPS] = np.nan
+        lit, _ = lambert_fit.lit_and_dark(known, filled, cosine, albedo)
+        scale = lambert_fit.scale_of(filled - cosine, lit, albedo)
+        weights = lit / (1 + ((filled - cosine) / (lambert_fit.KINK * scale)) ** 2)
+    normals[known.sum(axis=0) < lambert_fit.FEWEST_LAMPS] = np.nan
     return normals
 
 
@@ -197,7 +187,7 @@ def loosen(count: int) -> float:
 
     Sound selections of 6 and 8 lamps of the grey sphere show turns of 21 and 11 degrees, and half and twice the height.
     """
-    return count / (count - FEWEST_LAMPS) if count > FEWEST_LAMPS else np.inf
+    return count / (count - lambert_fit.FEWEST_LAMPS) if count > lambert_fit.FEWEST_LAMPS else np.inf
 
 
 def measure_slopes(

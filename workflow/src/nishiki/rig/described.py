@@ -15,19 +15,8 @@ from pydantic import BeforeValidator, Field, field_validator
 from nishiki.artifacts.closed import Closed
 from nishiki.capture.frames import parse_state
 from nishiki.formats.problems import CaptureError
+from nishiki.rig import device
 from nishiki.rig.axes import expect_in_range, not_homed_error
-from nishiki.rig.device import (
-    ANSWER_S,
-    GREETING_S,
-    Baud,
-    DeviceError,
-    Pause,
-    Seconds,
-    SerialLine,
-    ask_operator,
-    closed_on_failure,
-    expect_state,
-)
 
 
 class DomeSettings(Closed):
@@ -37,8 +26,8 @@ class DomeSettings(Closed):
     port: str = Field(description="serial port")
     count: Annotated[int, Field(ge=1, le=1000)] = Field(description="number of lamps")
     first: Annotated[int, Field(ge=0)] = Field(0, description="number that the dome gives to lamp 1")
-    settle_s: Pause = Field(0.2, description="seconds from the answer until the light is steady")
-    baud: Baud = Field(9600, description="bits per second")
+    settle_s: device.Pause = Field(0.2, description="seconds from the answer until the light is steady")
+    baud: device.Baud = Field(9600, description="bits per second")
 
 
 class Exchange(Closed):
@@ -47,7 +36,7 @@ class Exchange(Closed):
     send: str = Field(description="line to send; {degrees} and {lamp} stand for the angle and the number of the lamp")
     expect: str = Field(min_length=1, description="text that the answer contains; {lamp}: number of the lamp")
     error: str = Field("error", description="text that an answer contains which refuses; upper and lower case alike")
-    timeout_s: Seconds = Field(ANSWER_S, description="seconds to wait for the answer")
+    timeout_s: device.Seconds = Field(device.ANSWER_S, description="seconds to wait for the answer")
 
     @field_validator("send")
     @classmethod
@@ -64,10 +53,12 @@ class Line(Closed):
     """The serial line of a home-made device."""
 
     port: str = Field(description="serial port, such as /dev/serial/by-id/usb-...")
-    baud: Baud = Field(115200, description="bits per second")
+    baud: device.Baud = Field(115200, description="bits per second")
     ending: str = Field("\n", min_length=1, description="what ends a line, in both directions")
     greeting: str = Field("", description="text that the device sends when it starts; empty: it sends none")
-    greeting_s: Seconds = Field(GREETING_S, description="seconds to wait for the greeting after the port was opened")
+    greeting_s: device.Seconds = Field(
+        device.GREETING_S, description="seconds to wait for the greeting after the port was opened"
+    )
 
 
 class DescribedLamps(Line):
@@ -77,7 +68,7 @@ class DescribedLamps(Line):
     first: Annotated[int, Field(ge=0)] = Field(1, description="number that the device gives to lamp 1")
     light: Exchange = Field(description="lights {lamp} alone")
     dark: Exchange = Field(description="switches all lamps off")
-    settle_s: Pause = Field(0.2, description="seconds from the answer until the light is steady")
+    settle_s: device.Pause = Field(0.2, description="seconds from the answer until the light is steady")
 
 
 class DescribedAxis(Line):
@@ -109,7 +100,7 @@ class DescribedPolariser(Line):
     states: dict[State, Exchange] = Field(
         min_length=1, description="what to send for each state, named as in frames.csv"
     )
-    settle_s: Pause = Field(0.0, description="seconds from the answer until the polariser stands")
+    settle_s: device.Pause = Field(0.0, description="seconds from the answer until the polariser stands")
 
 
 class _Device:
@@ -118,9 +109,9 @@ class _Device:
     def __init__(self, name: str, line: Line) -> None:
         self.name = name
         greeting = re.escape(line.greeting)
-        self.line = SerialLine(name, line.port, line.baud, line.ending, greeting)
+        self.line = device.SerialLine(name, line.port, line.baud, line.ending, greeting)
         if greeting:
-            with closed_on_failure(self.line):
+            with device.closed_on_failure(self.line):
                 self.line.greeting(greeting, line.greeting_s)  # not sent by a board that does not restart when opened
 
     def ask(self, exchange: Exchange, **values: float) -> None:
@@ -139,7 +130,7 @@ class HomeMadeLamps(_Device):
     def __init__(self, name: str, settings: DescribedLamps) -> None:
         super().__init__(name, settings)
         self.settings, self.count = settings, settings.count
-        with closed_on_failure(self.line):
+        with device.closed_on_failure(self.line):
             self.light(None)
 
     def light(self, lamp: int | None) -> None:
@@ -149,14 +140,14 @@ class HomeMadeLamps(_Device):
         else:
             if not 1 <= lamp <= self.count:
                 found = f"expected a lamp from 1 to {self.count}, found {lamp}"
-                raise DeviceError(f"{self.name}: {found}. Remedy: correct plan or description")
+                raise device.DeviceError(f"{self.name}: {found}. Remedy: correct plan or description")
             self.ask(self.settings.light, lamp=lamp - 1 + self.settings.first)
         time.sleep(self.settings.settle_s)
 
     def close(self) -> None:
         """Switch the lamps off and close the line."""
         if self.line.serial.is_open:
-            with suppress(DeviceError):  # it has gone
+            with suppress(device.DeviceError):  # it has gone
                 self.ask(self.settings.dark)
             self.line.close()
 
@@ -165,12 +156,12 @@ class BracketDome(HomeMadeLamps):
     """A dome with the protocol `<3,n>`."""
 
     def __init__(self, name: str, settings: DomeSettings) -> None:
-        shared = {"error": "INCORRECT FUNCTION CALL", "timeout_s": ANSWER_S}
+        shared = {"error": "INCORRECT FUNCTION CALL", "timeout_s": device.ANSWER_S}
         self.shutter = Exchange(send="<6>", expect="Shutter triggered", **shared)
         described = DescribedLamps(
             **settings.model_dump(exclude={"kind"}),
             greeting="RTI-Dome in",
-            greeting_s=GREETING_S,
+            greeting_s=device.GREETING_S,
             light=Exchange(send="<3,{lamp}>", expect="Single LED turned on, number: {lamp},", **shared),
             dark=Exchange(send="<0>", expect="All lights turned off", **shared),
         )
@@ -193,7 +184,7 @@ class HomeMadeAxis(_Device):
         """Find the reference, or ask a person to turn the axis to its zero mark."""
         self.homed = False
         if self.settings.home is None:
-            ask_operator(self.name, "turn the axis by hand to its zero mark")
+            device.ask_operator(self.name, "turn the axis by hand to its zero mark")
         else:
             self.ask(self.settings.home)
         self.homed = True
@@ -217,6 +208,6 @@ class HomeMadePolariser(_Device):
 
     def set(self, state: str) -> None:
         """Move the polariser into a state and return when it stands."""
-        expect_state(self.name, state, self.states)
+        device.expect_state(self.name, state, self.states)
         self.ask(self.settings.states[state])
         time.sleep(self.settings.settle_s)

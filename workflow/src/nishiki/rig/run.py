@@ -33,20 +33,11 @@ from nishiki.errors import UserError, require
 from nishiki.formats.files import flush, put_file
 from nishiki.formats.images import read_codes, read_exif, read_header
 from nishiki.formats.problems import CaptureError, group_problems
+from nishiki.rig import records
 from nishiki.rig.description import OpenedRig, expect_devices, open_rig, read_rig
 from nishiki.rig.device import DeviceError, DeviceLost, Rig, ask_operator
 from nishiki.rig.frames_table import AUTOMATIC, FIELDS, PlannedFrame, by_field, read_table, summary, table_text
 from nishiki.rig.plan import ReadPlan, read_plan
-from nishiki.rig.records import (
-    FrameNeighbours,
-    Journal,
-    Measures,
-    RunState,
-    capture_settings,
-    measure,
-    refuse_unusable_settings,
-    write_tables,
-)
 
 REQUESTS = {
     "white": "put the white board in the object's place",
@@ -73,7 +64,7 @@ def run_capture(
     plan: Path,
     capture: Path,
     *,
-    observer: RunState | None = None,
+    observer: records.RunState | None = None,
     open_devices: Callable[[Path], Rig] = open_rig,
     ask: Callable[[str, str], None] = ask_operator,
     pause: Callable[[float], None] = time.sleep,
@@ -113,7 +104,7 @@ def run_capture(
         raise UserError(EXISTS.format(capture))
     before, parts = None, {f"{FIELDS}/{name}": part for name, part in fields.items()} or {".": frames}
     for name, part in parts.items():
-        run = CaptureRun(rig, read, part, capture / name, observer or RunState(), open_devices, ask, pause)
+        run = CaptureRun(rig, read, part, capture / name, observer or records.RunState(), open_devices, ask, pause)
         digest = run.complete(plan, like=before)
         if fields and before is None:
             expect_overlap(read, run.capture)
@@ -160,7 +151,7 @@ def describe_run(rig: Path, plan: Path, capture: Path) -> str:
     _read, frames = read_frames_of(plan)
     expect_devices(frames, read_rig(rig))
     places = [capture / FIELDS / name for name in by_field(frames)] or [capture]
-    events = [event for place in places for event in Journal(work_folder(place) / "journal.jsonl").events()]
+    events = [event for place in places for event in records.Journal(work_folder(place) / "journal.jsonl").events()]
     kept = [event["file"] for event in events if event["event"] == "frame"]
     text = table_text(frames, os.path.relpath(plan)) + summary(frames, capture)
     return f"{text}\n{len(kept)} of them are kept already" if kept else text
@@ -180,7 +171,7 @@ class CaptureRun:
         plan: ReadPlan,
         frames: tuple[PlannedFrame, ...],
         capture: Path,
-        observer: RunState,
+        observer: records.RunState,
         open_devices: Callable[[Path], Rig],
         ask: Callable[[str, str], None],
         pause: Callable[[float], None],
@@ -188,11 +179,11 @@ class CaptureRun:
         self.rig_file, self.plan, self.frames, self.capture = rig, plan, frames, capture
         self.observer, self.ask, self.pause = observer, ask, pause
         self.devices = OpenedRig(rig, frames, open_devices)
-        self.neighbours = FrameNeighbours(plan, frames)
+        self.neighbours = records.FrameNeighbours(plan, frames)
         self.work = work_folder(capture)
         self.payload, self.incoming = self.work / "capture", self.work / "incoming"
-        self.journal = Journal(self.work / "journal.jsonl")
-        self.camera = validate(CameraResponse, capture_settings(plan)["camera"], "plan: capture.camera")
+        self.journal = records.Journal(self.work / "journal.jsonl")
+        self.camera = validate(CameraResponse, records.capture_settings(plan)["camera"], "plan: capture.camera")
         self.kept: dict[str, dict[str, Any]] = {}
         self.exposures: dict[str, float] = {}
         self.subject: str | None = "object"
@@ -242,8 +233,8 @@ class CaptureRun:
         for folder in (self.payload, self.incoming, self.work / "rejected", self.work / "companions"):
             folder.mkdir(exist_ok=True)
         self._keep_table(plan_file)
-        write_tables(self.payload, self.plan, self.frames, {})
-        refuse_unusable_settings(self.payload)
+        records.write_tables(self.payload, self.plan, self.frames, {})
+        records.refuse_unusable_settings(self.payload)
         own = [*self.journal.events()]
         self.kept = {event["file"]: event for event in own if event["event"] == "frame"}
         for event in [*(like.journal.events() if like else ()), *own]:
@@ -322,7 +313,7 @@ class CaptureRun:
 
     def _expose(
         self, frame: PlannedFrame, seconds: Callable[[], float | None]
-    ) -> tuple[Path, float | None, Measures | None, list[str]]:
+    ) -> tuple[Path, float | None, records.Measures | None, list[str]]:
         """Photograph and measure; reopen devices that do not answer.
 
         Return the file, the seconds of the exposure, the measures, and the reasons for a rejection.
@@ -341,7 +332,7 @@ class CaptureRun:
 
     def _photograph(
         self, frame: PlannedFrame, seconds: float | None
-    ) -> tuple[Path, float | None, Measures | None, list[str]]:
+    ) -> tuple[Path, float | None, records.Measures | None, list[str]]:
         largest = max((event["bytes"] for event in self.kept.values()), default=frame.bytes)
         free = shutil.disk_usage(self.work).free
         if free < 2 * largest:
@@ -364,7 +355,7 @@ class CaptureRun:
             codes = read_codes(path, channel_names(header), header=header)
         except CaptureError as error:
             return path, taken, None, [f"the photograph cannot be read: {error.problems[0]}"]
-        measures = measure(codes, self.camera, read_exif(path).exposure_s)
+        measures = records.measure(codes, self.camera, read_exif(path).exposure_s)
         self.observer.record_photograph(frame, codes, measures)
         return path, taken, measures, self.neighbours.reasons_against(frame, measures, taken, self.kept)
 
@@ -386,7 +377,7 @@ class CaptureRun:
                 os.replace(path, self.work / "companions" / name)
         return chosen[0]
 
-    def _keep(self, frame: PlannedFrame, path: Path, exposure_s: float | None, measures: Measures) -> None:
+    def _keep(self, frame: PlannedFrame, path: Path, exposure_s: float | None, measures: records.Measures) -> None:
         """Record a photograph with its digest in the journal, then rename it into the capture."""
         with path.open("rb") as file:
             os.fsync(file.fileno())
@@ -452,7 +443,7 @@ class CaptureRun:
         self.devices.close()
         header = read_header(self.payload / self.frames[0].file)
         exposures = {file: event["exposure_s"] for file, event in self.kept.items() if event["exposure_s"]}
-        write_tables(self.payload, self.plan, self.frames, exposures, header)
+        records.write_tables(self.payload, self.plan, self.frames, exposures, header)
         problems = check_capture(self.payload, level="full")
         errors = [problem for problem in problems if problem.severity == "error"]
         if errors:

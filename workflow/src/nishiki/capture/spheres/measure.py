@@ -16,6 +16,7 @@ from nishiki.capture.folder import MIRROR_BALLS
 from nishiki.capture.layouts import Layout, find_mask, photographs_in, settle_directions
 from nishiki.capture.lights import light_name, lights_from_vectors
 from nishiki.capture.options import ConvertOptions
+from nishiki.capture.spheres import search
 from nishiki.capture.spheres.circles import locate_given, search_circles
 from nishiki.capture.spheres.lamps import (
     Falloff,
@@ -30,25 +31,6 @@ from nishiki.capture.spheres.lamps import (
 )
 from nishiki.capture.spheres.optics import INSIDE, SphereCamera, find_highlight
 from nishiki.capture.spheres.outline import Circle, fit_outline
-from nishiki.capture.spheres.search import (
-    LEAST_LAMPS,
-    LEAST_PEAK,
-    LEAST_SHARE,
-    Findings,
-    SceneFit,
-    SphereInput,
-    SpheresError,
-    bright_blocks,
-    corner_of,
-    crop_around,
-    cut_crop,
-    draw_findings,
-    fit_scene,
-    read_crops,
-    read_light,
-    read_overview,
-    subtract_surroundings,
-)
 from nishiki.capture.taking import SATURATED, full_scale_of, read_grey
 from nishiki.errors import UserError
 from nishiki.formats.banded_pictures import png_bytes
@@ -69,18 +51,19 @@ class MeasuredSpheres:
 
     photographs: list[Path]  # those whose lamp was measured
     names: list[str]  # of their lamps
-    findings: Findings  # its highlights count all photographs that were given; `numbers` are those of the measured
+    # its highlights count all photographs that were given; `numbers` are those of the measured
+    findings: search.Findings
     numbers: list[int]
     fit: LampFit  # in millimetres where the spheres' radius is known, else in radii
     # (lamps,): part of the uncertainty of the directions that the unknown lens makes, radians; within
     # fit.direction_sigma
     lens_sigma: np.ndarray
     positioned: bool  # whether all lamps have positions worth writing
-    scene: SceneFit | None  # how well the lamps explain what lies beside the spheres
+    scene: search.SceneFit | None  # how well the lamps explain what lies beside the spheres
     warnings: list[str]
 
 
-def measure_spheres(given: SphereInput) -> MeasuredSpheres:
+def measure_spheres(given: search.SphereInput) -> MeasuredSpheres:
     """Find mirror spheres in photographs and measure the lamp of each photograph.
 
     Parameters
@@ -108,10 +91,10 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
             f"photographs: expected a name of its own for each, found several named {name_some(doubled_names)}. "
             "Remedy: rename the files"
         )
-    overview = read_overview(given.photographs, read_light)
+    overview = search.read_overview(given.photographs, search.read_light)
     header = read_header(given.photographs[0])
     rows, columns = header.rows, header.columns
-    findings = Findings(
+    findings = search.Findings(
         overview.stack.mean(axis=0), overview.stack.max(axis=0), overview.factor, SphereCamera.of(rows, columns)
     )
     circles, read = (
@@ -119,23 +102,23 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
     )
     if not circles or (given.count is not None and len(circles) != given.count):
         expected = "at least one" if given.count is None else f"{given.count}"
-        raise SpheresError(
+        raise search.SpheresError(
             f"mirror spheres: expected {expected}, found {len(circles)}. Remedy: give the place of each with --sphere "
             "ROW COLUMN RADIUS (in pixels, roughly), or paint the spheres in a picture and give it with --mask",
             findings,
         )
-    crops = [crop_around(circle, (rows, columns)) for circle in circles]
-    stacks = [cut_crop(crop, read) for crop in crops]
+    crops = [search.crop_around(circle, (rows, columns)) for circle in circles]
+    stacks = [search.cut_crop(crop, read) for crop in crops]
     whole = [stack for stack in stacks if stack is not None]
     if len(whole) < len(stacks):
-        whole = read_crops(given.photographs, crops)
+        whole = search.read_crops(given.photographs, crops)
     for circle, crop, stack in zip(circles, crops, whole, strict=True):
         _measure_sphere(given, circle, crop, stack, findings)
     sightings, warnings = _sightings(findings, names)
     seen = sorted({s.lamp for s in sightings})
-    if len(seen) < max(LEAST_LAMPS, LEAST_SHARE * len(names)):
+    if len(seen) < max(search.LEAST_LAMPS, search.LEAST_SHARE * len(names)):
         reasons = "; ".join(f"{name}: {why}" for name, why in list(findings.left_out.items())[:8])
-        raise SpheresError(
+        raise search.SpheresError(
             f"{len(names) - len(seen)} of {len(names)} lamps have no highlight that can be used ({reasons}). Remedy: "
             "photograph these lamps again, shade other sources of light, or correct --sphere",
             findings,
@@ -169,12 +152,12 @@ def measure_spheres(given: SphereInput) -> MeasuredSpheres:
         fit,
         lens_sigma,
         _positions_are_accurate(fit, given),
-        fit_scene(bright_blocks(stack, find_free_pixels(findings)), fit.directions),
+        search.fit_scene(search.bright_blocks(stack, find_free_pixels(findings)), fit.directions),
         warnings,
     )
 
 
-def _refuse(given: SphereInput) -> None:
+def _refuse(given: search.SphereInput) -> None:
     if given.focal_px is not None and not given.focal_px > 0:
         raise UserError(f"--focal-px: expected a number of pixels above 0, found {given.focal_px:g}")
     if given.radius_mm is not None and not given.radius_mm > 0:
@@ -186,16 +169,18 @@ def _refuse(given: SphereInput) -> None:
             f"--board: expected {len(given.photographs)} photographs, one for every lamp in the same order, found "
             f"{len(given.board)}. Remedy: give the folder of all photographs of the board"
         )
-    if len(given.photographs) < LEAST_LAMPS:
+    if len(given.photographs) < search.LEAST_LAMPS:
         raise UserError(
-            f"photographs: expected at least {LEAST_LAMPS}, one a lamp, found {len(given.photographs)}. Remedy: give "
-            "the folder of all photographs"
+            f"photographs: expected at least {search.LEAST_LAMPS}, one a lamp, found {len(given.photographs)}. Remedy: "
+            "give the folder of all photographs"
         )
 
 
-def _measure_sphere(given: SphereInput, circle: Circle, crop, stack: np.ndarray, findings: Findings) -> None:
+def _measure_sphere(
+    given: search.SphereInput, circle: Circle, crop, stack: np.ndarray, findings: search.Findings
+) -> None:
     """Add outline, brightest crop and highlights of a sphere to the findings."""
-    camera, corner, k = findings.camera, corner_of(crop), len(findings.outlines)
+    camera, corner, k = findings.camera, search.corner_of(crop), len(findings.outlines)
     try:
         if given.mask is not None:
             painted = 1 - read_mask(given.mask)[crop].astype(np.float32)[None]
@@ -204,7 +189,7 @@ def _measure_sphere(given: SphereInput, circle: Circle, crop, stack: np.ndarray,
             outline = fit_outline(stack, circle, camera, corner)
     except ValueError as e:
         where = f"row {circle.row:.0f}, column {circle.column:.0f}, radius {circle.radius:.0f}"
-        raise SpheresError(
+        raise search.SpheresError(
             f"sphere at {where}: expected an outline, found {e}. Remedy: correct --sphere, or paint the sphere in a "
             "picture and give it with --mask",
             findings,
@@ -212,7 +197,7 @@ def _measure_sphere(given: SphereInput, circle: Circle, crop, stack: np.ndarray,
     column, row, radius = outline.circle(camera)
     rows, columns = np.ogrid[crop]
     inside = np.hypot(rows - row, columns - column) < INSIDE * radius
-    rest = subtract_surroundings(stack)
+    rest = search.subtract_surroundings(stack)
     shown = rest[:, inside]
     noise = max(float(1.4826 * np.median(np.abs(shown - np.median(shown)))), 1 / 65535)
     findings.outlines.append(outline)
@@ -221,7 +206,7 @@ def _measure_sphere(given: SphereInput, circle: Circle, crop, stack: np.ndarray,
         findings.highlights[i, k] = find_highlight(picture, noise, outline.parameters, camera, corner)
 
 
-def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], list[str]]:
+def _sightings(findings: search.Findings, names: list[str]) -> tuple[list[Sighting], list[str]]:
     """Select usable highlights and list warnings; record lamps without one in `findings.left_out`."""
     sightings, doubtful, warnings = [], [], []
     reasons: dict[str, list[str]] = {name: [] for name in names}
@@ -232,7 +217,7 @@ def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], li
         area = float(np.median([h.area_px for h in known])) if known else 0.0
         for i, name in enumerate(names):
             highlight = found[i, k]
-            if highlight is None or highlight.peak < LEAST_PEAK * peak:
+            if highlight is None or highlight.peak < search.LEAST_PEAK * peak:
                 reasons[name].append("no highlight")
             elif highlight.cut:
                 reasons[name].append("its highlight is cut off by the outline")
@@ -255,7 +240,7 @@ def _sightings(findings: Findings, names: list[str]) -> tuple[list[Sighting], li
     return sightings, warnings
 
 
-def _falloff(given: SphereInput, camera: SphereCamera, seen: list[int]) -> Falloff:
+def _falloff(given: search.SphereInput, camera: SphereCamera, seen: list[int]) -> Falloff:
     """Compute the logarithm of the light on blocks of the board, under the measured lamps."""
     top = SATURATED * full_scale_of(given.board[0])
     side = max(1, max(camera.rows, camera.columns) // BOARD_BLOCKS)
@@ -282,7 +267,7 @@ def _falloff(given: SphereInput, camera: SphereCamera, seen: list[int]) -> Fallo
     return Falloff(np.column_stack([right.ravel(), above.ravel()]), log_light)
 
 
-def _positions_are_accurate(fit: LampFit, given: SphereInput) -> bool:
+def _positions_are_accurate(fit: LampFit, given: search.SphereInput) -> bool:
     """Check whether the positions of all lamps are accurate enough to write."""
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = fit.inverse_distance_sigma / fit.inverse_distance
@@ -290,7 +275,7 @@ def _positions_are_accurate(fit: LampFit, given: SphereInput) -> bool:
     return bool(given.radius_mm is not None and usable.all())
 
 
-def _fit_warnings(fit: LampFit, names: list[str], near: bool, given: SphereInput) -> list[str]:
+def _fit_warnings(fit: LampFit, names: list[str], near: bool, given: search.SphereInput) -> list[str]:
     warnings = []
     behind = [name for name, u in zip(names, fit.directions, strict=True) if u[2] <= 0]
     if behind:
@@ -326,7 +311,7 @@ def find_photographs(source: Path, options: ConvertOptions) -> list[Path] | None
     """Find photographs of one size on which balls can be searched; None where there are too few."""
     present = photographs_in(source) if source.is_dir() else []
     sizes = {(header.rows, header.columns) for header in map(read_header, present)}
-    return present if len(present) >= LEAST_LAMPS and len(sizes) == 1 else None
+    return present if len(present) >= search.LEAST_LAMPS and len(sizes) == 1 else None
 
 
 def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptions) -> Layout:
@@ -337,8 +322,8 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
     where they do not tell of the lamps.
     """
     try:
-        measured = measure_spheres(SphereInput(photographs))
-    except SpheresError as e:
+        measured = measure_spheres(search.SphereInput(photographs))
+    except search.SpheresError as e:
         raise _refusal(source, str(e), "lamps-unmeasured" if len(e.findings.outlines) > 1 else "layout-unknown") from e
     except UserError as e:
         raise CaptureError(error("lamps-unmeasured", str(source), str(e))) from e
@@ -353,7 +338,7 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
         )
         raise _refusal(source, what)
     mask = options.mask or find_mask(source)
-    files = {MIRROR_BALLS: png_bytes(draw_findings(measured.findings))}
+    files = {MIRROR_BALLS: png_bytes(search.draw_findings(measured.findings))}
     if mask is None:
         files[MASK] = png_bytes(255 * find_free_pixels(measured.findings, whole=True).astype(np.uint8))
     ahead = [i for i, towards in enumerate(measured.fit.directions) if towards[2] > LEAST_Z]

@@ -13,19 +13,9 @@ from numba import njit
 
 from nishiki.artifacts.maps import shrink
 from nishiki.errors import require
+from nishiki.render.plane import shade
 from nishiki.render.plane.kernel import BACKGROUND, TURNED_AWAY, UNUSABLE
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
-from nishiki.render.plane.shade import (
-    FRONTAL_EYE,
-    ColourGroups,
-    PixelShading,
-    PlaneMaps,
-    cast_shadows,
-    colour_groups,
-    pixel_to_plane,
-    shade_channels,
-    shade_xyz,
-)
 
 
 def screen_to_plane(view: View, scene: PlaneScene) -> np.ndarray:
@@ -210,23 +200,23 @@ def render(
     view = View() if view is None else view
     ambient = Ambient() if ambient is None else ambient
     if visibility is None and scene.height is not None and lights:
-        visibility = cast_shadows(scene.height, lights, pitch=scene.pitch)
-    groups = colour_groups(scene, lights, ambient)
+        visibility = shade.cast_shadows(scene.height, lights, pitch=scene.pitch)
+    groups = shade.colour_groups(scene, lights, ambient)
     white = groups.whites[groups.of_light[0] if lights else groups.ambient]
     if view.eye_mm is None and screen_shape(view, scene) == scene.shape:  # the pixels of the maps
-        shading = shade_xyz(scene, lights, ambient=ambient, visibility=visibility)
+        shading = shade.shade_xyz(scene, lights, ambient=ambient, visibility=visibility)
         coverage = np.ones(scene.shape, np.float32)
         return Rendering(shading.values, shading.flags, coverage, white, 1, 1)
     plane = screen_to_plane(view, scene)
     rows, columns = screen_shape(view, scene)
-    to_map = np.linalg.inv(pixel_to_plane(scene.pitch, scene.shape)) @ plane
+    to_map = np.linalg.inv(shade.pixel_to_plane(scene.pitch, scene.shape)) @ plane
     steps = [footprint(to_map, k, min(k + 16, rows), columns, scene.shape) for k in range(0, rows, 16)]
     (least, most), reduction = samples, 1
     while max(_count(step, reduction) for step in steps) > most and reduction < max(scene.shape):
         reduction *= 2
     maps, seen = reduce_maps(scene, visibility, reduction)
     shrink = np.array([[1 / reduction, 0, 0.5 / reduction - 0.5], [0, 1 / reduction, 0.5 / reduction - 0.5], [0, 0, 1]])
-    eye = FRONTAL_EYE if view.eye_mm is None else np.append(np.asarray(view.eye_mm, np.float64), 1.0)
+    eye = shade.FRONTAL_EYE if view.eye_mm is None else np.append(np.asarray(view.eye_mm, np.float64), 1.0)
     painter = _Painter(maps, seen, lights, groups, ambient.level, plane, shrink @ to_map, eye,
         (scene.shape[0] / reduction, scene.shape[1] / reduction))  # fmt: skip
     xyz = np.empty((rows, columns, 3), np.float32)
@@ -251,7 +241,7 @@ class _Painter:
     maps: PlaneScene
     visibility: np.ndarray | None
     lights: list
-    groups: ColourGroups
+    groups: shade.ColourGroups
     ambient_level: float
     plane: np.ndarray
     to_map: np.ndarray
@@ -277,8 +267,10 @@ class _Painter:
         to_screen = np.array([[1 / across, 0, 0.5 / across - 0.5], [0, 1 / down, first + 0.5 / down - 0.5], [0, 0, 1]])
         shape = ((last - first) * down, columns * across)
         samples = sample_maps(self.maps, self.visibility, self.to_map @ to_screen, shape, self.extent)
-        shading = shade_channels(
-            PlaneMaps(samples.normals, samples.coefficients, self.maps.gloss, samples.shading, None, samples.labels),
+        shading = shade.shade_channels(
+            shade.PlaneMaps(
+                samples.normals, samples.coefficients, self.maps.gloss, samples.shading, None, samples.labels
+            ),
             self.lights,
             groups=self.groups,
             visibility=samples.visibility,
@@ -321,7 +313,7 @@ def reduce_maps(scene: PlaneScene, visibility: np.ndarray | None, factor: int):
 
 
 def _resolve(
-    shading: PixelShading, inside: np.ndarray, across: int, down: int
+    shading: shade.PixelShading, inside: np.ndarray, across: int, down: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Average the samples of each pixel; unusable samples (missing normal or colour, overflow) are omitted.
 

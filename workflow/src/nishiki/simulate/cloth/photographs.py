@@ -10,17 +10,7 @@ import numba
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.simulate.capture import (
-    DARK_FRAMES,
-    CameraSettings,
-    camera_from,
-    dark_frame,
-    expose,
-    readme,
-    write_csv,
-    write_description,
-    write_image,
-)
+from nishiki.simulate import capture as common
 from nishiki.simulate.cloth.points import R2
 from nishiki.simulate.cloth.reflectance import SimulatedCloth, blocks, cell_maps, make_cloth
 from nishiki.simulate.cloth.settings import PRESETS, GoniometerSettings, preset, unit
@@ -61,7 +51,7 @@ def photographs(cloths: tuple[SimulatedCloth, ...], settings: GoniometerSettings
             exposure = exposure_for(light, settings)
             signal = light * (settings.camera.white_level * exposure / BASE_S)
             key = subkey(settings.seed, f"cloth noise {row}")
-            yield SimulatedShot(int(row), expose(signal, settings.camera, key=key), exposure, reflectance)
+            yield SimulatedShot(int(row), common.expose(signal, settings.camera, key=key), exposure, reflectance)
 
 
 def on_sensor(cells: list[np.ndarray], cloths, angles_deg: np.ndarray, settings: GoniometerSettings) -> np.ndarray:
@@ -135,7 +125,7 @@ def white_board(number: int, theta_i_deg: float, settings: GoniometerSettings) -
     light = settings.white_reflectance * cosine * texture * np.array(TINT)
     exposure = exposure_for(light, settings)
     signal = light * (settings.camera.white_level * exposure / BASE_S)
-    return expose(signal, settings.camera, key=subkey(settings.seed, f"cloth noise white {number}")), exposure
+    return common.expose(signal, settings.camera, key=subkey(settings.seed, f"cloth noise white {number}")), exposure
 
 
 REGION_NAMES = ("ground", "figure")
@@ -152,7 +142,7 @@ def settings_from(options) -> GoniometerSettings:
         values["bounces"] = 0
     if options.harness is not None and PRESETS[options.preset] == "plain":
         raise UserError("--harness: a plain weave has 2, found another number; leave it out")
-    return preset(options.preset, **values, camera=camera_from(options, CameraSettings()))
+    return preset(options.preset, **values, camera=common.camera_from(options, common.CameraSettings()))
 
 
 def write_all(settings: GoniometerSettings, capture: Path, truth: Path, options, report) -> None:
@@ -164,27 +154,27 @@ def write_all(settings: GoniometerSettings, capture: Path, truth: Path, options,
     rows, reflectance = [()] * len(angles), np.zeros((len(angles), len(cloths), len(settings.cloths[0].channels)))
     for done, shot in enumerate(photographs(cloths, settings), start=1):
         file = f"frames/{shot.row + 1:05d}.{options.format}"
-        write_image(capture / file, shot.codes)
+        common.write_image(capture / file, shot.codes)
         rows[shot.row] = frame_row(file, "sample", angles[shot.row], shot.exposure_s)
         reflectance[shot.row] = shot.reflectance
         if done % 100 == 0:
             report(f"{done} of {len(angles)} photographs")
     for number, (theta, phi) in enumerate(np.unique(angles[:, :2], axis=0), start=1):
         codes, exposure = white_board(number, theta, settings)
-        write_image(capture / f"white/{number}.{options.format}", codes)
+        common.write_image(capture / f"white/{number}.{options.format}", codes)
         rows.append(frame_row(f"white/{number}.{options.format}", "white", (theta, phi, None, None), exposure))
-    for number in range(1, DARK_FRAMES + 1):
-        codes = dark_frame(codes.shape, settings.camera, key=subkey(settings.seed, f"cloth dark {number}"))
-        write_image(capture / f"dark/{number}.{options.format}", codes)
+    for number in range(1, common.DARK_FRAMES + 1):
+        codes = common.dark_frame(codes.shape, settings.camera, key=subkey(settings.seed, f"cloth dark {number}"))
+        common.write_image(capture / f"dark/{number}.{options.format}", codes)
         rows.append(frame_row(f"dark/{number}.{options.format}", "dark", (None,) * 4, None))
-    write_csv(capture / "frames.csv", [HEADING, *rows])
+    common.write_csv(capture / "frames.csv", [HEADING, *rows])
     describe_capture(capture, settings)
     np.savez(truth / "truth.npz", angles_deg=settings.angles_deg, reflectance=reflectance)
     for number, cloth in enumerate(cloths, start=1):
         suffix = "" if number == 1 else f"-{number}"
         (truth / f"geometry{suffix}.json").write_text(json.dumps(geometry(cloth)) + "\n")
     named = "; ".join(f"{c.harness}-harness {c.weave}, {c.face} on top" for c in settings.cloths)
-    (truth / "README.md").write_text(readme("cloth", settings=settings, cloths=named, photographs=len(angles)))
+    (truth / "README.md").write_text(common.readme("cloth", settings=settings, cloths=named, photographs=len(angles)))
 
 
 def describe_capture(capture: Path, settings: GoniometerSettings) -> None:
@@ -198,7 +188,7 @@ def describe_capture(capture: Path, settings: GoniometerSettings) -> None:
     }
     if len(settings.cloths) > 1:
         labels, pitch = region_labels(settings)
-        write_image(capture / "regions.png", labels.astype(np.uint8))
+        common.write_image(capture / "regions.png", labels.astype(np.uint8))
         block |= {
             "regions": "regions.png",
             "region_names": {name: label + 1 for label, name in enumerate(REGION_NAMES)},
@@ -207,7 +197,7 @@ def describe_capture(capture: Path, settings: GoniometerSettings) -> None:
             "upright": "cloth",
         }
     title = f"Simulated {cloth.harness}-harness {cloth.weave} (seed {settings.seed})"
-    write_description(capture, title, "goniometer", cloth.channels, settings.camera, goniometer=block)
+    common.write_description(capture, title, "goniometer", cloth.channels, settings.camera, goniometer=block)
 
 
 def frame_row(file: str, role: str, angles_deg, exposure_s: float | None) -> tuple:

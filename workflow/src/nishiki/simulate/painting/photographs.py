@@ -6,22 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.simulate.capture import (
-    BOARD_REFLECTANCE,
-    DARK_FRAMES,
-    FINE_NM,
-    CameraSettings,
-    TruthWriter,
-    camera_from,
-    channel_names,
-    dark_frame,
-    expose,
-    readme,
-    sensitivities,
-    write_csv,
-    write_description,
-    write_image,
-)
+from nishiki.simulate import capture as common
 from nishiki.simulate.painting.objects import make_object
 from nishiki.simulate.painting.relief import SimulatedObject, shade
 from nishiki.simulate.painting.settings import (
@@ -78,8 +63,8 @@ class Tables:
 
 def make_tables(thing: SimulatedObject, settings: SimulationSettings, *, with_truth: bool) -> Tables:
     """Make the colour tables for sample lights, or for check lights with their truth."""
-    spectrum = planck_spectrum(FINE_NM, settings.lights.colour_temperature_k)
-    weights = sensitivities(FINE_NM, settings.camera.channels) * spectrum
+    spectrum = planck_spectrum(common.FINE_NM, settings.lights.colour_temperature_k)
+    weights = common.sensitivities(common.FINE_NM, settings.camera.channels) * spectrum
     response = weights.sum(axis=1)
     weights = (weights / response[:, None]).T
     signal = response / response.max() * settings.camera.white_level
@@ -118,7 +103,7 @@ def photograph(
         observed = shading.body + shading.gloss[..., None] * tables.white.astype(np.float32)
         strength = (beam_strength(lamp, settings, rows) * vignette(settings, rows)).astype(np.float32)
         signal = observed[..., :channels] * strength[..., None] * tables.signal.astype(np.float32)
-        codes[rows] = expose(signal, settings.camera, key=key, first_row=rows.start)
+        codes[rows] = common.expose(signal, settings.camera, key=key, first_row=rows.start)
         lit[rows] = np.rint(100.0 * shading.lit)
         if truth is not None:
             tilt = (lamp.direction[2] / board_cosine(lamp, settings, rows)).astype(np.float32)
@@ -135,8 +120,8 @@ def white_board(lamp: LampPose, settings: SimulationSettings, tables: Tables) ->
     key = subkey(settings.seed, f"noise white {lamp.name}")
     for rows in strips(settings.rows):
         light = beam_strength(lamp, settings, rows) * board_cosine(lamp, settings, rows) * vignette(settings, rows)
-        signal = BOARD_REFLECTANCE * light[..., None] * tables.signal
-        codes[rows] = expose(signal, settings.camera, key=key, first_row=rows.start)
+        signal = common.BOARD_REFLECTANCE * light[..., None] * tables.signal
+        codes[rows] = common.expose(signal, settings.camera, key=key, first_row=rows.start)
     return codes
 
 
@@ -158,7 +143,7 @@ def settings_from(options) -> SimulationSettings:
         pitch_mm=options.pitch_mm or 0.2,
         supersampling=2 if options.supersampling is None else options.supersampling,
         bounce=not options.no_bounce,
-        camera=camera_from(options, CameraSettings(channels=options.channels)),
+        camera=common.camera_from(options, common.CameraSettings(channels=options.channels)),
         lights=LampSettings(
             rings=options.rings,
             ring_lights=options.ring_lights,
@@ -183,19 +168,21 @@ def write_all(settings: SimulationSettings, capture: Path, truth: Path, options,
         store.add(lamp, shot)
         for role, codes in ((lamp.role, shot.codes), ("white", white_board(lamp, settings, plain))):
             file = f"{'white' if role == 'white' else 'frames'}/{lamp.name}.{options.format}"
-            write_image(capture / file, codes)
+            common.write_image(capture / file, codes)
             frames.append((file, role, lamp.name))
         report(f"lamp {number} of {len(lamps)}")
-    for index in range(1, DARK_FRAMES + 1):
+    for index in range(1, common.DARK_FRAMES + 1):
         file = f"dark/{index}.{options.format}"
         key = subkey(settings.seed, f"noise dark {index}")
-        write_image(capture / file, dark_frame(shot.codes.shape, settings.camera, key=key))
+        common.write_image(capture / file, common.dark_frame(shot.codes.shape, settings.camera, key=key))
         frames.append((file, "dark", ""))
-    write_csv(capture / "frames.csv", [("file", "role", "light"), *frames])
+    common.write_csv(capture / "frames.csv", [("file", "role", "light"), *frames])
     write_tables(capture, settings, lamps, directions=options.lights_as != "position")
     attributes = truth_attributes(settings, lamps)
     facts = {"samples": settings.supersampling**2, "checks": ", ".join(attributes["checks"]) or "none"}
-    store.finish(attributes, readme("painting", settings=settings, off=attributes["direction_error_deg"], **facts))
+    store.finish(
+        attributes, common.readme("painting", settings=settings, off=attributes["direction_error_deg"], **facts)
+    )
 
 
 def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[LampPose, ...], *, directions: bool) -> None:
@@ -205,16 +192,16 @@ def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[LampP
         (capture / "lights.lp").write_text("\n".join([str(len(lamps)), *lines]) + "\n")
     else:
         rows = [(lamp.name, *(f"{v:.3f}" for v in lamp.position_mm)) for lamp in lamps]
-        write_csv(capture / "lights.csv", [("light", "x", "y", "z"), *rows])
-    names = channel_names(settings.camera.channels)
+        common.write_csv(capture / "lights.csv", [("light", "x", "y", "z"), *rows])
+    names = common.channel_names(settings.camera.channels)
     nm = np.arange(380.0, 780.5, 5.0)
-    curves = sensitivities(nm, settings.camera.channels)
+    curves = common.sensitivities(nm, settings.camera.channels)
     power = planck_spectrum(nm, settings.lights.colour_temperature_k)
     (capture / "spectra").mkdir()
     for file, heading, columns in (("camera", names, curves), ("illuminant", ("power",), power[None])):
         rows = [(f"{w:g}", *(f"{v:.6f}" for v in values)) for w, values in zip(nm, columns.T, strict=True)]
-        write_csv(capture / "spectra" / f"{file}.csv", [("wavelength_nm", *heading), *rows])
-    write_description(
+        common.write_csv(capture / "spectra" / f"{file}.csv", [("wavelength_nm", *heading), *rows])
+    common.write_description(
         capture,
         f"Simulated {settings.scene} (seed {settings.seed})",
         "plane",
@@ -226,12 +213,12 @@ def write_tables(capture: Path, settings: SimulationSettings, lamps: tuple[LampP
             "file": "lights.lp" if directions else "lights.csv",
             "kind": "direction" if directions else "position_mm",
         },
-        white={"reflectance": BOARD_REFLECTANCE, "normal": [0, 0, 1]},
+        white={"reflectance": common.BOARD_REFLECTANCE, "normal": [0, 0, 1]},
         pixel_pitch_mm=settings.pitch_mm,
     )
 
 
-class PaintingTruth(TruthWriter):
+class PaintingTruth(common.TruthWriter):
     """The truth of a painting, filled light by light."""
 
     def __init__(self, folder: Path, settings: SimulationSettings, thing: SimulatedObject, lamps: tuple[LampPose, ...]):

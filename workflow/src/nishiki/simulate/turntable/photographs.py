@@ -6,18 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.errors import UserError
-from nishiki.simulate.capture import (
-    BOARD_REFLECTANCE,
-    DARK_FRAMES,
-    TruthWriter,
-    camera_from,
-    dark_frame,
-    expose,
-    readme,
-    write_csv,
-    write_description,
-    write_image,
-)
+from nishiki.simulate import capture as common
 from nishiki.simulate.randomness import subkey
 from nishiki.simulate.turntable.render import Radiance, SimulatedScene, make_scene, see
 from nishiki.simulate.turntable.shape import (
@@ -79,7 +68,7 @@ def make_optics(view: SimulatedView, settings: TurntableSettings) -> Optics:
     points = view.centre + reach * (into + x * right + y * down)
     to_lamp = view.lamp - points
     square = np.sum(to_lamp**2, axis=-1)
-    board = BOARD_REFLECTANCE * np.sum((view.lamp - np.array(AIM_MM)) ** 2) / square
+    board = common.BOARD_REFLECTANCE * np.sum((view.lamp - np.array(AIM_MM)) ** 2) / square
     return Optics(sensitivity, beta, board * -np.sum(to_lamp * into, axis=-1) / np.sqrt(square))
 
 
@@ -115,7 +104,7 @@ def signal(light: Radiance, optics: Optics, settings: TurntableSettings, state: 
 def photograph(light: Radiance, optics: Optics, settings: TurntableSettings, *, view: str, state: str) -> np.ndarray:
     """Photograph the object: codes (rows, columns, 3) uint16."""
     key = subkey(settings.seed, f"turntable noise {view} {state}")
-    return expose(signal(light, optics, settings, state).astype(np.float32), settings.camera, key=key)
+    return common.expose(signal(light, optics, settings, state).astype(np.float32), settings.camera, key=key)
 
 
 def white_board(index: int, optics: Optics, settings: TurntableSettings, *, state: str) -> np.ndarray:
@@ -124,7 +113,7 @@ def white_board(index: int, optics: Optics, settings: TurntableSettings, *, stat
     if state == "on":
         level = level * optics.beta
     key = subkey(settings.seed, f"turntable noise white {index} {state}")
-    return expose(level.astype(np.float32), settings.camera, key=key)
+    return common.expose(level.astype(np.float32), settings.camera, key=key)
 
 
 LAMP = "lamp"
@@ -141,7 +130,7 @@ def settings_from(options) -> TurntableSettings:
     values |= {name: getattr(options, key) for key, name in names.items() if getattr(options, key) is not None}
     if options.no_bounce:
         values["bounces"] = 0
-    camera = camera_from(options, TurntableSettings().camera)
+    camera = common.camera_from(options, TurntableSettings().camera)
     return TurntableSettings(**values, seed=options.seed, polariser=options.polariser == "circular", camera=camera)
 
 
@@ -157,7 +146,7 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
     frames = []
 
     def keep(file: str, role: str, codes: np.ndarray, *, view="", light="", state="", silhouette="") -> None:
-        write_image(capture / file, codes)
+        common.write_image(capture / file, codes)
         frames.append((file, role, view, light, state, "" if role == "dark" else EXPOSURE_S, silhouette))
 
     for place, view in enumerate(views):
@@ -166,7 +155,7 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         outline = f"silhouettes/{view.name}.png" if options.silhouettes == "given" else ""
         if outline:
             mask = np.where(light.coverage >= 0.5, 255, 0).astype(np.uint8)
-            write_image(capture / outline, np.repeat(mask[..., None], 3, axis=2))
+            common.write_image(capture / outline, np.repeat(mask[..., None], 3, axis=2))
         for state in states:
             file = f"frames/{view.name}{'-' * bool(state)}{state}.{options.format}"
             codes = photograph(light, optics, settings, view=view.name, state=state)
@@ -179,18 +168,18 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
             boards = [np.rint(np.mean(boards, axis=0)).astype(np.uint16)]
         for number, codes in enumerate(boards, start=1):
             keep(f"white/{state or 'board'}-{number}.{options.format}", "white", codes, light=lamp, state=state)
-    for number in range(1, DARK_FRAMES + 1):
+    for number in range(1, common.DARK_FRAMES + 1):
         key = subkey(settings.seed, f"turntable dark {number}")
-        keep(f"dark/{number}.{options.format}", "dark", dark_frame(codes.shape, settings.camera, key=key))
+        keep(f"dark/{number}.{options.format}", "dark", common.dark_frame(codes.shape, settings.camera, key=key))
     header = ("file", "role", "view", "light", "polariser", "exposure_s", "silhouette")
-    write_csv(capture / "frames.csv", [header, *frames])
+    common.write_csv(capture / "frames.csv", [header, *frames])
     header = ("view", *(f"p{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3, 4)))
     rows = [(view.name, *(f"{value:.17g}" for value in view.matrix.ravel())) for view in views]
-    write_csv(capture / "cameras.csv", [header, *rows])
+    common.write_csv(capture / "cameras.csv", [header, *rows])
     if lamp:
         # In the camera's frame: x right, y up, z towards the photographer.
         rows = [("light", "x", "y", "z"), (LAMP, *(f"{value:.3f}" for value in LAMP_MM))]
-        write_csv(capture / "lights.csv", rows)
+        common.write_csv(capture / "lights.csv", rows)
     if options.mesh == "scan":
         surface = make_surface(settings.scan_triangles) if settings.scan_triangles else scene.surface
         points, triangles = scan(surface, noise_mm=settings.scan_noise_mm, seed=settings.seed)
@@ -203,14 +192,14 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
         corners["count"], corners["corners"] = 3, triangles
         values = np.ascontiguousarray(points, "<f4").tobytes() + corners.tobytes()
         (capture / "object.ply").write_bytes(text + values)
-    write_description(
+    common.write_description(
         capture,
         f"Simulated jar on a turntable (seed {settings.seed})",
         "turntable",
         ("red", "green", "blue"),
         settings.camera,
         lights={"file": "lights.csv", "kind": "position_mm"} if lamp else {"kind": "camera"},
-        white={"reflectance": BOARD_REFLECTANCE, "normal": [0, 0, 1]},
+        white={"reflectance": common.BOARD_REFLECTANCE, "normal": [0, 0, 1]},
         turntable={
             "full_turn": True,
             "unit": "mm",
@@ -221,11 +210,11 @@ def write_all(settings: TurntableSettings, capture: Path, truth: Path, options, 
     )
     store.finish(
         truth_attributes(settings, views),
-        readme("turntable", settings=settings, stray=STRAY, reflectance=BOARD_REFLECTANCE),
+        common.readme("turntable", settings=settings, stray=STRAY, reflectance=common.BOARD_REFLECTANCE),
     )
 
 
-class ObjectTruthWriter(TruthWriter):
+class ObjectTruthWriter(common.TruthWriter):
     """The truth of an object, filled view by view."""
 
     def __init__(self, folder: Path, settings: TurntableSettings, views, scene: SimulatedScene, optics: Optics):
@@ -261,6 +250,6 @@ def truth_attributes(settings: TurntableSettings, views: tuple[SimulatedView, ..
         "lamp_radius_mm": LAMP_RADIUS_MM,
         "beta": list(BETA),
         "leak": list(LEAK),
-        "board_reflectance": BOARD_REFLECTANCE,
+        "board_reflectance": common.BOARD_REFLECTANCE,
         "settings": asdict(settings),
     }

@@ -7,13 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
-from nishiki.brdf.cloth.interface import (
-    directional_albedo,
-    incidences,
-    prediction_error,
-    reciprocity_error,
-    solid_angles,
-)
+from nishiki.brdf.cloth import interface
 from nishiki.brdf.cloth.models import BEST, YARNS, Fitted, fit_models, left_out_error
 from nishiki.brdf.cloth.store import goniometer_rows, save_brdf
 from nishiki.brdf.cloth.yarn_fit import Measured
@@ -108,19 +102,19 @@ def judge(measured: Measured, fit: Fitted) -> dict:
     used = measured.take(fit.used)
     predicted = fit.brdf.evaluate(used.incident, used.outgoing)
     errors = {}
-    for theta, _, rows in incidences(used.incident):
+    for theta, _, rows in interface.incidences(used.incident):
         quarter = measured.quarter and theta < np.radians(1)
-        solid = solid_angles(used.outgoing[rows], quarter=quarter)
-        error = prediction_error(used.outgoing[rows], used.values[rows], predicted[rows], solid)
+        solid = interface.solid_angles(used.outgoing[rows], quarter=quarter)
+        error = interface.prediction_error(used.outgoing[rows], used.values[rows], predicted[rows], solid)
         errors.setdefault(f"{np.degrees(theta):.0f}", []).append(error.rms_rel)
     albedo = {}
     for theta in ALBEDO_DEG:
         light = unit(np.radians(theta), np.radians([0.0, 45.0, 90.0]))
-        albedo[str(theta)] = round(float(directional_albedo(fit.brdf, light).max()), 5)
+        albedo[str(theta)] = round(float(interface.directional_albedo(fit.brdf, light).max()), 5)
     return {
         "used": len(fit.used),
         "rms_rel_used": {angle: round(float(np.mean(values)), 5) for angle, values in errors.items()},
-        "reciprocity_error": round(reciprocity_error(fit.brdf), 6),
+        "reciprocity_error": round(interface.reciprocity_error(fit.brdf), 6),
         "albedo_max": albedo,
         "at_bounds": fit.facts.get("at_bounds", []),
     }

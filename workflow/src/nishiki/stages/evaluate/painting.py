@@ -19,16 +19,8 @@ from nishiki.formats.stored import load_arrays, open_group
 from nishiki.observations.plane import Observations
 from nishiki.render.plane.scene import Light
 from nishiki.render.plane.shade import PlaneMaps, cast_shadows
+from nishiki.stages import painting_maps
 from nishiki.stages.evaluate import PAINTING_OUTPUTS
-from nishiki.stages.painting_maps import (
-    PaintingMaps,
-    PredictedLight,
-    captured_lamp,
-    channel_colour,
-    lower_light,
-    predict_light,
-    spectral_colour,
-)
 
 DARK_SHARE = 0.25  # of a region, that is scored apart
 
@@ -49,7 +41,7 @@ def run(context: Context) -> dict:
     return headlines(evaluation)
 
 
-class EvaluatedScene(PaintingMaps):
+class EvaluatedScene(painting_maps.PaintingMaps):
     """Fitted maps of one scene and data for displaying them.
 
     Attributes
@@ -77,12 +69,12 @@ class EvaluatedScene(PaintingMaps):
         labels = self.regions(slice(0, self.shape[0]))
         self.parts = parts_of(labels, level, frames.mask & self.estimated)
 
-    def predict(self, light: Light, rows: slice, visibility: np.ndarray | None) -> PredictedLight:
+    def predict(self, light: Light, rows: slice, visibility: np.ndarray | None) -> painting_maps.PredictedLight:
         """Predict some rows under a lamp, whose visibility (1, rows, columns) is that of the whole."""
         middle = (self.shape[0] - 1) / 2
-        return predict_light(
+        return painting_maps.predict_light(
             self.model(rows),
-            lower_light(light, ((rows.start + rows.stop - 1) / 2 - middle) * self.pitch),
+            painting_maps.lower_light(light, ((rows.start + rows.stop - 1) / 2 - middle) * self.pitch),
             visibility=None if visibility is None else visibility[:, rows],
             pitch=self.pitch,
         )
@@ -306,7 +298,7 @@ def one_light(
     """
     frames, name = scene.frames, scene.frames.lights[j]
     height = scene.relief if context.settings.cast_shadows and scene.casts_shadows else None
-    light = captured_lamp(frames, j, float(np.radians(context.settings.lamp_diameter_deg / 2)))
+    light = painting_maps.captured_lamp(frames, j, float(np.radians(context.settings.lamp_diameter_deg / 2)))
     visibility = None if height is None else cast_shadows(height, [light], pitch=scene.pitch)
     known_truth = truth.check(name)
     comparison = LightComparison.of(frames.shape, scene.camera)
@@ -361,8 +353,8 @@ def one_light(
 def colours_for(scene: EvaluatedScene) -> dict:
     """Return conversions of the prediction to XYZ: under the capture's lamp, and, with spectra, under D65."""
     if scene.basis is None or "illuminant" not in scene.curves:
-        return {} if scene.camera.rmse is None else {"lamp": channel_colour(scene.camera)}
+        return {} if scene.camera.rmse is None else {"lamp": painting_maps.channel_colour(scene.camera)}
     return {
-        "lamp": spectral_colour(scene.curves["illuminant"], scene.basis),
-        "D65": spectral_colour(illuminant("D65"), scene.basis),
+        "lamp": painting_maps.spectral_colour(scene.curves["illuminant"], scene.basis),
+        "D65": painting_maps.spectral_colour(illuminant("D65"), scene.basis),
     }

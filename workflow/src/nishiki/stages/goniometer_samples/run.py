@@ -6,18 +6,8 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
+from nishiki.goniometry import hemisphere
 from nishiki.goniometry.directions import departure, disc, images, unit
-from nishiki.goniometry.hemisphere import (
-    FEWEST_PAIRS,
-    IncidenceCoverage,
-    Interpolation,
-    choose_symmetry,
-    complete,
-    coverage,
-    directional_albedo,
-    reciprocity,
-    typical_albedo,
-)
 from nishiki.goniometry.readings import Averaged, Readings, Regions, average_repeats, read_all
 from nishiki.goniometry.table import ReflectanceSet, write_reflectances
 from nishiki.observations.goniometer_store import Measurements
@@ -55,13 +45,13 @@ def run(context: Context) -> dict:
     )
     made, symmetry_errors = None, None
     if measured.symmetry == "unknown":
-        symmetry_errors = choose_symmetry(measured)
+        symmetry_errors = hemisphere.choose_symmetry(measured)
         measured = replace(measured, symmetry=next(iter(symmetry_errors), "quarter"))
         if len(symmetry_errors) < 2:
             context.progress.tell("two mirror planes are assumed: the views are too few to compare symmetries")
     if settings.interpolation != "none":
-        measured, made = complete(measured, grid_deg=settings.grid_deg)
-    covered = coverage(measured)
+        measured, made = hemisphere.complete(measured, grid_deg=settings.grid_deg)
+    covered = hemisphere.coverage(measured)
     context.output.path("coverage.svg").write_text(coverage_plot(measured, covered))
     report = {"stamp": context.stamp, "coverage": [light.as_dict() for light in covered]}
     write_reflectances(context.output.folder, OUTPUTS, measured, more=report)
@@ -108,8 +98,8 @@ def diagnostics(
     measured: ReflectanceSet,
     averaged: Averaged,
     readings: Readings | None,
-    made: Interpolation | None,
-    covered: tuple[IncidenceCoverage, ...],
+    made: hemisphere.Interpolation | None,
+    covered: tuple[hemisphere.IncidenceCoverage, ...],
 ) -> dict:
     """Return plain values for the manifest."""
     values = measured.values[measured.valid]
@@ -118,7 +108,7 @@ def diagnostics(
         (measured.incident[ok], measured.outgoing[ok], measured.values[ok, r]) for r, ok in enumerate(measured.valid.T)
     ]
     departures = [departure(*each, measured.symmetry) for each in sets]
-    exchanged = [reciprocity(*each, measured.symmetry) for each in sets]
+    exchanged = [hemisphere.reciprocity(*each, measured.symmetry) for each in sets]
     known = noise > 0
     report = {
         "directions": len(measured),
@@ -131,9 +121,9 @@ def diagnostics(
         "weave": measured.weave,
         "symmetry_departure": [size for size, _ in departures],
         "symmetry_images": [count for _, count in departures],
-        "reciprocity": [apart if pairs >= FEWEST_PAIRS else None for apart, pairs in exchanged],
+        "reciprocity": [apart if pairs >= hemisphere.FEWEST_PAIRS else None for apart, pairs in exchanged],
         "reciprocal_pairs": [pairs for _, pairs in exchanged],
-        "albedo": [typical_albedo(*each, measured.symmetry) for each in sets],
+        "albedo": [hemisphere.typical_albedo(*each, measured.symmetry) for each in sets],
         "unusable": (~measured.valid).sum(axis=0).tolist(),
         "least": float(values.min()) if values.size else None,
         "greatest": float(values.max()) if values.size else None,
@@ -148,7 +138,7 @@ def diagnostics(
             "smoothing": list(made.smoothing),
             "basic_measured": made.measured,
             "basic_extrapolated": made.extrapolated,
-            "albedo_normal": directional_albedo(made.basic).tolist(),
+            "albedo_normal": hemisphere.directional_albedo(made.basic).tolist(),
         }
     return report
 
@@ -158,7 +148,7 @@ MOST_DISCS = 24
 SIZE, RADIUS, ACROSS = 170, 66, 4
 
 
-def coverage_plot(measured: ReflectanceSet, lights: tuple[IncidenceCoverage, ...]) -> str:
+def coverage_plot(measured: ReflectanceSet, lights: tuple[hemisphere.IncidenceCoverage, ...]) -> str:
     """Draw SVG text: a disc a direction of light; normal in the middle, horizon at the rim, weft to the right, warp up.
 
     Filled dots: measured; open: their mirror images, where the light allows; crosses: measured but not usable; the
@@ -176,7 +166,7 @@ def coverage_plot(measured: ReflectanceSet, lights: tuple[IncidenceCoverage, ...
     return drawing.finish()
 
 
-def _disc(drawing: Drawing, measured: ReflectanceSet, light: IncidenceCoverage, x: float, y: float) -> None:
+def _disc(drawing: Drawing, measured: ReflectanceSet, light: hemisphere.IncidenceCoverage, x: float, y: float) -> None:
     def places(directions: np.ndarray) -> list[tuple[float, float]]:
         flat = disc(directions) * RADIUS
         return list(zip((x + flat[:, 0]).tolist(), (y - flat[:, 1]).tolist(), strict=True))

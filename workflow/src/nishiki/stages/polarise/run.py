@@ -8,17 +8,8 @@ import numpy as np
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
 from nishiki.observations.views import Views, encode
+from nishiki.polarisation import polarisation
 from nishiki.polarisation.noise import PhotographNoise
-from nishiki.polarisation.polarisation import (
-    Beta,
-    ComponentWriter,
-    SeparatedView,
-    board_ratio,
-    common_phase,
-    components,
-    reflected_sense,
-    sum_planes,
-)
 from nishiki.polarisation.polariser_states import StateSums, arms_of, read_instrument, sums_of
 from nishiki.polarisation.series import SeparationStatistics, Thinned, diagnose, select_lit, statistics_of
 from nishiki.polarisation.smoothing import smooth_planes
@@ -38,7 +29,7 @@ def run(context: Context) -> dict:
         wavelength = float(text) if text.replace(".", "", 1).isdigit() else None
     arms = arms_of(instrument, wavelength_nm=wavelength)
     sums = sums_of(views.states, generator=arms[0], analyser=arms[1], method=settings.method)
-    writer = ComponentWriter(
+    writer = polarisation.ComponentWriter(
         context.output.folder,
         OUTPUTS,
         views=views.views,
@@ -88,11 +79,11 @@ def run(context: Context) -> dict:
 
 
 def separate(
-    views: Views, place: int, light: str, sums: StateSums, settings: PolariseSettings, board: Beta | None
-) -> tuple[SeparatedView, SeparationStatistics, dict]:
+    views: Views, place: int, light: str, sums: StateSums, settings: PolariseSettings, board: polarisation.Beta | None
+) -> tuple[polarisation.SeparatedView, SeparationStatistics, dict]:
     """Compute components of one view, statistics of those by the formulas alone, and diagnostics of its series."""
     thinned = Thinned(sums, views.shape, len(views.channels))
-    planes, valid = sum_planes(photographs(views, place, light, thinned), sums.weights)
+    planes, valid = polarisation.sum_planes(photographs(views, place, light, thinned), sums.weights)
     facts = diagnose(sums, thinned)
     field = None if board is None else board.field
     beta, gain, phase, sense = None, None, None, 1
@@ -101,13 +92,13 @@ def separate(
     elif field is not None:
         gain = 1 / field
     if sums.method == "linear":
-        angle, agreement = common_phase(planes, valid)
+        angle, agreement = polarisation.common_phase(planes, valid)
         facts |= {"phase_deg": float(np.degrees(angle)), "phase_agreement": agreement}
         phase = angle if settings.phase == "common" else None
     if sums.method == "mueller":
-        sense = reflected_sense(planes[1][valid], planes[2][valid])
+        sense = polarisation.reflected_sense(planes[1][valid], planes[2][valid])
         facts["sense"] = sense
-    separated = components(planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain)
+    separated = polarisation.components(planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain)
     outline = views.silhouette(place)
     shown = select_lit(separated.diffuse + separated.specular, separated.valid) if outline is None else outline
     figures = statistics_of(separated, shown)
@@ -127,11 +118,13 @@ def separate(
     )
     if smoothed.doubtful is not None:
         figures = replace(figures, doubtful=smoothed.doubtful)
-    after = components(smoothed.planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain)
+    after = polarisation.components(smoothed.planes, valid, sums, beta=beta, phase=phase, sense=sense, gain=gain)
     return after, figures, facts | smoothing_diagnostics(separated, after, smoothed.noise)
 
 
-def smoothing_diagnostics(before: SeparatedView, after: SeparatedView, noise: PhotographNoise | None) -> dict:
+def smoothing_diagnostics(
+    before: polarisation.SeparatedView, after: polarisation.SeparatedView, noise: PhotographNoise | None
+) -> dict:
     """Compute the noise of the photographs, and the root mean square change of the components by smoothing."""
     pairs = {"diffuse": (before.diffuse, after.diffuse), "specular": (before.specular, after.specular)}
     changes = {name: (new - old)[after.valid] for name, (old, new) in pairs.items()}
@@ -152,7 +145,7 @@ def photographs(views: Views, place: int, light: str, thinned: Thinned) -> Itera
         yield values, valid
 
 
-def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSettings) -> Beta | None:
+def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSettings) -> polarisation.Beta | None:
     """Compute beta (circular) or the analyser's transmission (else) by place, from the white boards; None without.
 
     UserError where circular states have neither boards nor a given beta.
@@ -174,20 +167,20 @@ def boards_of(views: Views, light: str, sums: StateSums, settings: PolariseSetti
                 "with the "
                 "polarisers off and on (role white), or give polarise.beta"
             )
-        return board_ratio(images["on"], images["off"], least=settings.beta_least, local=settings.local)
+        return polarisation.board_ratio(images["on"], images["off"], least=settings.beta_least, local=settings.local)
     if missing:
         return None
     everywhere = np.ones(views.shape, bool)
     series = ((images.get(state, images[used[0]]), everywhere) for state in sums.states)
-    planes, valid = sum_planes(series, sums.weights)
-    sense = reflected_sense(planes[1], planes[2]) if sums.method == "mueller" else 1
-    board = components(planes, valid, sums, sense=sense)
+    planes, valid = polarisation.sum_planes(series, sums.weights)
+    sense = polarisation.reflected_sense(planes[1], planes[2]) if sums.method == "mueller" else 1
+    board = polarisation.components(planes, valid, sums, sense=sense)
     total = board.diffuse + board.specular
     lit = total > 0.1 * np.percentile(total, 99, axis=(0, 1))
-    return board_ratio(total, lit, least=settings.beta_least, what="transmission", local=settings.local)
+    return polarisation.board_ratio(total, lit, least=settings.beta_least, what="transmission", local=settings.local)
 
 
-def unit_of(views: Views, sums: StateSums, boards: dict[str, Beta | None]) -> str:
+def unit_of(views: Views, sums: StateSums, boards: dict[str, polarisation.Beta | None]) -> str:
     """Return the meaning of 1: "white board", or "full scale" of the photographs at the longest exposure time.
 
     Boards behind circular polarisers give beta alone; those behind analysers divide the components.
@@ -210,7 +203,7 @@ def totals(statistics: list[SeparationStatistics]) -> dict:
     }
 
 
-def picture(context: Context, name: str, place: int, view: SeparatedView, exposure: float) -> str:
+def picture(context: Context, name: str, place: int, view: polarisation.SeparatedView, exposure: float) -> str:
     """Draw whole, diffuse and specular part at one exposure, negative values black; return the file of all three."""
     parts = {"whole": view.diffuse + view.specular, "diffuse": view.diffuse, "specular": view.specular}
     codes = {key: display(values * np.float32(exposure)) for key, values in parts.items()}

@@ -17,16 +17,7 @@ from nishiki.capture.tables import read_curves
 from nishiki.colour.colour import illuminant as cie_illuminant
 from nishiki.colour.sampling import resample
 from nishiki.errors import require
-from nishiki.render.display import (
-    VideoWritten,
-    adapted_exposure,
-    display_image,
-    write_exr,
-    write_normals_exr,
-    write_normals_png,
-    write_png,
-    write_video,
-)
+from nishiki.render import display
 from nishiki.render.plane.frame import Rendering, render
 from nishiki.render.plane.kernel import UNUSABLE
 from nishiki.render.plane.scene import Ambient, Light, PlaneScene, View
@@ -63,8 +54,8 @@ def run(context: Context) -> dict:
         notes += [written.note] if written.note else []
     if settings.export_normals:
         normals = maps.mean_normals(maps.normals, block)
-        write_normals_png(context.output.path("normals.png"), normals, stamp=context.stamp)
-        write_normals_exr(context.output.path("normals.exr"), normals, stamp=context.stamp)
+        display.write_normals_png(context.output.path("normals.png"), normals, stamp=context.stamp)
+        display.write_normals_exr(context.output.path("normals.exr"), normals, stamp=context.stamp)
     return {
         "pictures": pictures,
         "notes": notes,
@@ -114,13 +105,15 @@ def paint(
 def save(context: Context, picture: PictureSettings, made: Rendering) -> dict:
     """Write linear EXR and 8-bit sRGB PNG; return clipped and flagged parts of the PNG."""
     coverage = None if picture.view.kind == "frontal" else made.coverage
-    write_exr(context.output.path(f"{picture.name}.exr"), made.xyz, stamp=context.stamp, coverage=coverage)
+    display.write_exr(context.output.path(f"{picture.name}.exr"), made.xyz, stamp=context.stamp, coverage=coverage)
     exposure = picture.exposure
     if exposure == "auto":
         sheet = white_sheet(picture.lights, picture.ambient)
-        exposure = adapted_exposure(made.xyz, seen=select_object(made), sheet=sheet, bounded=is_bounded(context))
-    shown = display_image(made.xyz, white=made.white_xyz, exposure=exposure)
-    write_png(context.output.path(f"{picture.name}.png"), shown.pixels, stamp=context.stamp)
+        exposure = display.adapted_exposure(
+            made.xyz, seen=select_object(made), sheet=sheet, bounded=is_bounded(context)
+        )
+    shown = display.display_image(made.xyz, white=made.white_xyz, exposure=exposure)
+    display.write_png(context.output.path(f"{picture.name}.png"), shown.pixels, stamp=context.stamp)
     return {
         "exposure": exposure,
         "clipped_fraction": float(shown.clipped_high),
@@ -140,7 +133,7 @@ def select_object(made: Rendering) -> np.ndarray:
 
 def film(
     context: Context, scene: PlaneScene, sequence: SequenceSettings, spectra: dict[str, np.ndarray]
-) -> tuple[VideoWritten, float]:
+) -> tuple[display.VideoWritten, float]:
     """Film a moving light or a moving view; return its exposure."""
     view = film_view(sequence, scene)
     lamp = LightSettings(elevation_deg=sequence.elevation_deg)
@@ -156,13 +149,13 @@ def film(
         frames = (render(scene, [light], each, ambient=ambient, visibility=shadows) for each in views)
     first = next(frames)  # sets the exposure of all, so that the film does not flicker
     sheet = white_sheet([lamp], AMBIENT)
-    exposure = adapted_exposure(first.xyz, seen=select_object(first), sheet=sheet, bounded=is_bounded(context))
+    exposure = display.adapted_exposure(first.xyz, seen=select_object(first), sheet=sheet, bounded=is_bounded(context))
     frames = chain([first], frames)
     pictures = (
-        display_image(frame.xyz, white=frame.white_xyz, exposure=exposure).pixels
+        display.display_image(frame.xyz, white=frame.white_xyz, exposure=exposure).pixels
         for frame in context.progress.through(frames, sequence.frames, f"{sequence.name}: frame")
     )
-    written = write_video(
+    written = display.write_video(
         context.output.path(f"{sequence.name}.mp4"),
         pictures,
         frames_per_second=sequence.frames_per_second,

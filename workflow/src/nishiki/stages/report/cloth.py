@@ -8,32 +8,12 @@ import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
 from nishiki.artifacts.stage import Context
-from nishiki.report.page import (
-    Block,
-    Cell,
-    Figure,
-    Figures,
-    Fold,
-    Heading,
-    Metric,
-    PageSection,
-    Table,
-    contents,
-    film_and_notes,
-    read_json,
-)
+from nishiki.report import page
 from nishiki.report.pictures import PagePicture, encode_picture, file_picture
 from nishiki.report.scene_page import SLIGHT, Head, SceneData, at, headline, write_scene_page
 from nishiki.report.svg import INK, PALETTE, ChartCurve, chart, figure, percent
+from nishiki.stages.report import cloth_reflection
 from nishiki.stages.report.capture import FACTS, export_section
-from nishiki.stages.report.cloth_reflection import (
-    curves_section,
-    drawn_region,
-    errors_section,
-    mean_error,
-    model_name,
-    reflection_section,
-)
 from nishiki.stages.table import chain_of
 
 
@@ -41,7 +21,7 @@ def run(context: Context) -> dict:
     """Collect the sections that this scene has, and write the page."""
     data = SceneData(context)
     samples, capture = data.diagnostics["goniometer_samples"], data.diagnostics.get("ingest") or {}
-    region = drawn_region(data)
+    region = cloth_reflection.drawn_region(data)
     head = Head(
         title=at(capture, "capture", "title"),
         about="a cloth measured with a goniometer",
@@ -58,15 +38,15 @@ def held_out_errors(evaluation: dict[str, Any], region: str) -> dict[str, dict[s
     return at(evaluation, "regions", region, "models", evaluation.get("default", ""), "held_out", "by_incidence") or {}
 
 
-def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any], region: str) -> list[Metric]:
+def at_a_glance(samples: dict[str, Any], evaluation: dict[str, Any], region: str) -> list[page.Metric]:
     """List the most important figures. samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
-    tiles = [Metric(samples["directions"], "", "pairs of directions measured")]
+    tiles = [page.Metric(samples["directions"], "", "pairs of directions measured")]
     for angle, part in held_out_errors(evaluation, region).items():
         if angle in ("30", "60"):
-            text = f"error at {angle}° incidence, {model_name(evaluation['default'])}"
-            tiles.append(Metric(100 * part["rms_rel"], "%", text))
+            text = f"error at {angle}° incidence, {cloth_reflection.model_name(evaluation['default'])}"
+            tiles.append(page.Metric(100 * part["rms_rel"], "%", text))
     if samples.get("noise_relative") is not None:
-        tiles.append(Metric(100 * samples["noise_relative"], "%", "noise of a measurement, median"))
+        tiles.append(page.Metric(100 * samples["noise_relative"], "%", "noise of a measurement, median"))
     return tiles
 
 
@@ -75,7 +55,7 @@ CLOTH_ERROR = 0.15  # relative error on directions left out from which a cloth's
 
 def cloth_headline(samples: dict[str, Any], evaluation: dict[str, Any], region: str) -> list[tuple[str, str]]:
     """Return the headline of a cloth; samples : diagnostics of goniometer_samples; evaluation : evaluation.json."""
-    error, noise = mean_error(held_out_errors(evaluation, region)), samples.get("noise_relative")
+    error, noise = cloth_reflection.mean_error(held_out_errors(evaluation, region)), samples.get("noise_relative")
     left_out = f"directions that no fit used are predicted with a mean error of {100 * (error or 0):.0f} %"
     noisy = f"half of the measurements have a noise below {figure(100 * (noise or 0), 2)} %"
     saturated = samples.get("saturated") or 0
@@ -91,33 +71,38 @@ def cloth_headline(samples: dict[str, Any], evaluation: dict[str, Any], region: 
     return headline([(error, CLOTH_ERROR, left_out), (noise, SLIGHT, noisy)], advice)
 
 
-def rendered_section(data: SceneData) -> PageSection:
+def rendered_section(data: SceneData) -> page.PageSection:
     """Return the rendered pictures by kind: under each light, in each dye, and others."""
     render = data.inputs["cloth_render"]
-    groups: dict[str, list[Figure]] = {"lights": [], "dyes": [], "others": []}
+    groups: dict[str, list[page.Figure]] = {"lights": [], "dyes": [], "others": []}
     diagnostics = render.diagnostics
     for name in diagnostics["pictures"]:
         group, heading, caption = words(name)
         groups[group].append(
-            Figure(heading, caption, file_picture(render.path(f"{name}.png").read_bytes(), data.widest))
+            page.Figure(heading, caption, file_picture(render.path(f"{name}.png").read_bytes(), data.widest))
         )
-    model = ", ".join(filter(None, (model_name(diagnostics.get("model", "")), diagnostics.get("region"))))
+    model = ", ".join(
+        filter(None, (cloth_reflection.model_name(diagnostics.get("model", "")), diagnostics.get("region")))
+    )
     from_file = at(diagnostics, "surface", "kind") == "file"
     shown = (
         "A surface from a file, covered with the cloth" if from_file else "A square of the cloth that fell over a ball"
     )
-    blocks: list[Block] = [
+    blocks: list[page.Block] = [
         f"{shown}; its weft is followed over every fold, and what each point sends to the eye is computed with the "
         f"fitted reflection (model: {model})."
     ]
     lights, dyes = len(groups["lights"]) - 1, len(groups["dyes"])
     if groups["lights"]:
-        heading = Heading(f"From {lights} light{'s' * (lights > 1)}", "in the cloth's own colour")
-        blocks += [heading, Figures(groups["lights"], 3)]
+        heading = page.Heading(f"From {lights} light{'s' * (lights > 1)}", "in the cloth's own colour")
+        blocks += [heading, page.Figures(groups["lights"], 3)]
     if groups["dyes"]:
-        blocks += [Heading(f"In {dyes} dye{'s' * (dyes > 1)}", "the same gloss over each"), Figures(groups["dyes"], 3)]
-    blocks += [Figures(groups["others"]), *film_and_notes(render, "The film", data.settings.video_mb)]
-    return PageSection("rendered", "The cloth", blocks)
+        blocks += [
+            page.Heading(f"In {dyes} dye{'s' * (dyes > 1)}", "the same gloss over each"),
+            page.Figures(groups["dyes"], 3),
+        ]
+    blocks += [page.Figures(groups["others"]), *page.film_and_notes(render, "The film", data.settings.video_mb)]
+    return page.PageSection("rendered", "The cloth", blocks)
 
 
 def words(name: str) -> tuple[str, str, str]:
@@ -133,10 +118,10 @@ def words(name: str) -> tuple[str, str, str]:
     return "others", name.replace("-", " ").capitalize(), ""
 
 
-def coverage_section(data: SceneData) -> PageSection:
+def coverage_section(data: SceneData) -> page.PageSection:
     """Return the drawing, and a row for each direction of light."""
     samples = data.inputs["goniometer_samples"]
-    blocks: list[Block] = ["Views that were measured for each direction of light."]
+    blocks: list[page.Block] = ["Views that were measured for each direction of light."]
     caption = "Each disc is one direction of light; dots are views seen from above, the weft to the right."
     drawing = samples.path("coverage.svg").read_text()
     rows = [
@@ -149,10 +134,10 @@ def coverage_section(data: SceneData) -> PageSection:
     ]
     head = ("θi", "φi", "views", "unusable", "covered", "widest gap", "steepest view")
     blocks += [
-        Figures([Figure("Coverage", caption, svg=drawing)], 1),
-        Fold("Coverage", f"{len(rows)} directions of light", [Table(head, rows, "rrrrrrr")]),
+        page.Figures([page.Figure("Coverage", caption, svg=drawing)], 1),
+        page.Fold("Coverage", f"{len(rows)} directions of light", [page.Table(head, rows, "rrrrrrr")]),
     ]
-    return PageSection("coverage", "Measurements", blocks)
+    return page.PageSection("coverage", "Measurements", blocks)
 
 
 def facts(diagnostics: dict[str, Any], capture: dict[str, Any]) -> list[tuple[str, str]]:
@@ -213,43 +198,43 @@ ANGLES = ("theta_a", "contact")
 PLANES = ("weft", "warp")
 
 
-def weave_section(data: SceneData) -> PageSection | None:
+def weave_section(data: SceneData) -> page.PageSection | None:
     """Return every region of weave.json."""
     weave = data.inputs["weave"]
-    regions = (read_json(weave, "weave.json") or {}).get("regions") or {}
-    blocks: list[Block] = []
+    regions = (page.read_json(weave, "weave.json") or {}).get("regions") or {}
+    blocks: list[page.Block] = []
     for name, entry in regions.items():
         suffix = f"_{name}" if len(regions) > 1 else ""
         if suffix:
-            blocks.append(Heading(name))
+            blocks.append(page.Heading(name))
         items = drawings(weave, entry, suffix, "section", "Cut through the middle of a yarn.")
-        if picture := contents(weave, f"weave{suffix}.png"):
+        if picture := page.contents(weave, f"weave{suffix}.png"):
             caption = "As fitted, from above: the weft runs to the right."
-            items.append(Figure("The surface", caption, tile_picture(picture, data.widest // 2)))
-        blocks += [summary(entry), Figures(items)]
-        published: list[Block] = []
+            items.append(page.Figure("The surface", caption, tile_picture(picture, data.widest // 2)))
+        blocks += [summary(entry), page.Figures(items)]
+        published: list[page.Block] = []
         if rows := parameters(at(weave.diagnostics, "regions", name) or {}, entry.get("at_bounds") or []):
             caption = (
                 f"The sections of Takeda and Tanaka, with confidence intervals "
                 f"({round(100 * weave.settings['confidence'])} %). Lengths are known up to a common scale."
             )
-            published.append(Table(("parameter", "value", "from", "to", "meaning"), rows, "lrrrw", caption))
+            published.append(page.Table(("parameter", "value", "from", "to", "meaning"), rows, "lrrrw", caption))
         curves = [curve(entry["curves"][plane], plane) for plane in PLANES if plane in entry["curves"]]
-        published += [Figures(curves), *notes(entry)]
-        published.insert(0, Figures(drawings(weave, entry, suffix, "published", None)))
+        published += [page.Figures(curves), *notes(entry)]
+        published.insert(0, page.Figures(drawings(weave, entry, suffix, "published", None)))
         blocks.append(yarn_table(entry["yarns"], weave.settings["confidence"]))
         weft, warp = (f"{100 * entry['rms_rel'][plane]:.1f} %" for plane in PLANES)
         text = f"the sections leave {weft} unexplained in the plane of the weft and {warp} in that of the warp"
-        blocks.append(Fold("The published model: smooth sections", text, published))
-    return PageSection("weave", "Weave", blocks) if blocks else None
+        blocks.append(page.Fold("The published model: smooth sections", text, published))
+    return page.PageSection("weave", "Weave", blocks) if blocks else None
 
 
-def drawings(weave: Artifact, entry: dict[str, Any], suffix: str, kind: str, caption: str | None) -> list[Figure]:
+def drawings(weave: Artifact, entry: dict[str, Any], suffix: str, kind: str, caption: str | None) -> list[page.Figure]:
     """Return the drawings of both planes; caption: instead of the main numbers of the published section."""
     return [
-        Figure(f"Section along the {plane}", caption or section_words(entry[plane]), svg=drawing.decode())
+        page.Figure(f"Section along the {plane}", caption or section_words(entry[plane]), svg=drawing.decode())
         for plane in PLANES
-        if (drawing := contents(weave, f"{kind}_{plane}{suffix}.svg"))
+        if (drawing := page.contents(weave, f"{kind}_{plane}{suffix}.svg"))
     ]
 
 
@@ -296,36 +281,36 @@ def section_words(section: dict[str, float]) -> str:
     return f"{text}, single yarns." if yarns == 1 else f"{text}, {yarns:.2g} yarns side by side."
 
 
-def yarn_table(yarns: dict[str, Any], confidence: float) -> Table:
+def yarn_table(yarns: dict[str, Any], confidence: float) -> page.Table:
     """Tabulate the weave of elliptical yarns with intervals; no value for undetermined numbers."""
-    rows: list[list[Cell]] = []
+    rows: list[list[page.Cell]] = []
     for name, words in YARN_MEANINGS.items():
         number = yarns["parameters"][name]
-        ends: list[Cell] = [number["low"], number["high"]]
+        ends: list[page.Cell] = [number["low"], number["high"]]
         rows.append([words, number["value"] if number["determined"] else "not determined", *ends])
     caption = (
         f"The weave of elliptical yarns with confidence intervals ({round(100 * confidence)} %), over all weaves that "
         "fit about as well; they hold if the yarns are elliptical and alike. Slopes are those of the surface visible "
         "from above. Where the measurements add nothing to the general experience of cloths, the interval states that."
     )
-    return Table(("", "value", "from", "to"), rows, "wrrr", caption)
+    return page.Table(("", "value", "from", "to"), rows, "wrrr", caption)
 
 
-def parameters(region: dict[str, Any], at_bounds: Sequence[str] = ()) -> list[list[Cell]]:
+def parameters(region: dict[str, Any], at_bounds: Sequence[str] = ()) -> list[list[page.Cell]]:
     """List name, value, ends of the interval and meaning of each parameter of a region's sections."""
-    rows: list[list[Cell]] = []
+    rows: list[list[page.Cell]] = []
     for name, value in (region.get("parameters") or {}).items():
         stem, _, plane = name.rpartition("_")
         kind, where = (stem, f", {plane}") if plane in PLANES else (name, "")
         low, high = (region.get("intervals") or {}).get(name) or (None, None)
         factor = 180 / np.pi if kind in ANGLES else 1.0
-        values: list[Cell] = [None if v is None else factor * v for v in (value, low, high)]
+        values: list[page.Cell] = [None if v is None else factor * v for v in (value, low, high)]
         meaning = MEANINGS[kind] + where if kind in MEANINGS else ""
         rows.append([name, *values, meaning + "; ended at a bound: not determined" * (name in at_bounds)])
     return rows
 
 
-def curve(values: dict[str, Any], plane: str) -> Figure:
+def curve(values: dict[str, Any], plane: str) -> page.Figure:
     """Draw measured and fitted reflectance of one plane."""
     angle, measured, gloss, body = (np.array(values[name]) for name in ("theta_r_deg", "measured", "gloss", "body"))
     curves = [
@@ -334,7 +319,7 @@ def curve(values: dict[str, Any], plane: str) -> Figure:
         ChartCurve("of which from within", angle, body, colour=PALETTE[1], dashed=True),
     ]
     svg = chart(curves, x_label="view, degrees", y_label="BRDF, 1/sr", title=f"reflectance in the plane of the {plane}")
-    return Figure(f"Plane of the {plane}", "light along the normal.", svg=svg)
+    return page.Figure(f"Plane of the {plane}", "light along the normal.", svg=svg)
 
 
 def notes(entry: dict[str, Any]) -> list[str]:
@@ -360,9 +345,9 @@ def notes(entry: dict[str, Any]) -> list[str]:
 SECTIONS = (
     ("cloth_render", rendered_section),
     ("weave", weave_section),
-    ("cloth_brdf", reflection_section),
-    ("cloth_evaluate", errors_section),
-    ("cloth_evaluate", curves_section),
+    ("cloth_brdf", cloth_reflection.reflection_section),
+    ("cloth_evaluate", cloth_reflection.errors_section),
+    ("cloth_evaluate", cloth_reflection.curves_section),
     ("goniometer_samples", coverage_section),
     ("cloth_export", export_section),
 )

@@ -22,14 +22,7 @@ from nishiki.formats.stored import load_arrays
 from nishiki.observations.plane import Observations
 from nishiki.progress import Progress
 from nishiki.render.plane.shade import PlaneMaps, entering
-from nishiki.report.viewer.encoding import (
-    ColourCode,
-    NormalCode,
-    PrincipalCode,
-    Steps,
-    colour_matrices,
-    shading_features,
-)
+from nishiki.report.viewer import encoding
 from nishiki.report.viewer.page import Blocks, webp, webp_stack, write_page
 from nishiki.report.viewer.pyramid import BORDER, TILE, Pyramid, fill_unknown, height_block
 from nishiki.stages.painting_maps import PaintingMaps, captured_lamp, each_map, predict_light
@@ -38,7 +31,7 @@ from nishiki.threads import strips
 PAGE = Path(__file__).with_suffix(".js")
 ILLUMINANTS = ("D65", "D50", "A", "E", "F2", "F7", "F11", "LED-B1", "LED-B3", "LED-B5")
 BAND_PIXELS = 1 << 20  # in memory
-FINE, COARSE, FINE_PIXELS = Steps(0.35, 0.00116, 0.0046), Steps(0.95, 0.011, 0.019), 2_000_000
+FINE, COARSE, FINE_PIXELS = encoding.Steps(0.35, 0.00116, 0.0046), encoding.Steps(0.95, 0.011, 0.019), 2_000_000
 """Steps of the codes, and largest map for the finer ones. With the coarse ones each kind of code
 costs about the same difference of the picture for a bit; the steps of tilts are below the noise of the normals of
 photographs of that size."""
@@ -215,13 +208,13 @@ def read_records(maps: PaintingMaps, rows: slice) -> np.ndarray:
 class PaintingCode:
     """Codes of the planes of a painting, in the order in which a tile holds them: normal, colour, body shading."""
 
-    normal: NormalCode
-    colour: ColourCode
-    shading: PrincipalCode | None
+    normal: encoding.NormalCode
+    colour: encoding.ColourCode
+    shading: encoding.PrincipalCode | None
     channels: int
 
     @classmethod
-    def of(cls, maps: PaintingMaps, band_rows: int, steps: Steps) -> "PaintingCode":
+    def of(cls, maps: PaintingMaps, band_rows: int, steps: encoding.Steps) -> "PaintingCode":
         """Fit the codes to a sample of the maps."""
         rows, columns = maps.shape
         step = max(1, round(np.sqrt(rows * columns / SAMPLES)))
@@ -232,15 +225,15 @@ class PaintingCode:
         values = np.concatenate(taken).reshape(-1, taken[0].shape[-1])
         values = values[values[:, 0] > 0]
         channels = values.shape[1] - 5 - maps.terms
-        matrices = colour_matrices(maps.basis, np.linalg.inv(srgb_matrix()))
+        matrices = encoding.colour_matrices(maps.basis, np.linalg.inv(srgb_matrix()))
         shading = None
         if maps.terms:
             terms = values[:, 4 + channels : -1]
             # backwards, because a picture of the last planes of colour and the smallest of shading takes fewer bytes
-            shading = PrincipalCode.of(terms, shading_features(maps.terms), steps.shading).backwards()
+            shading = encoding.PrincipalCode.of(terms, encoding.shading_features(maps.terms), steps.shading).backwards()
         return cls(
-            NormalCode.of(values[:, 1:4], steps.tilt),
-            ColourCode.of(values[:, 4 : 4 + channels], matrices, maps.basis, steps.colour),
+            encoding.NormalCode.of(values[:, 1:4], steps.tilt),
+            encoding.ColourCode.of(values[:, 4 : 4 + channels], matrices, maps.basis, steps.colour),
             shading,
             channels,
         )
