@@ -20,8 +20,7 @@ from nishiki.simulate.cloth.geometry import (
     make_descent,
     weave_pattern,
 )
-from nishiki.simulate.cloth.points import turned_frame
-from nishiki.simulate.cloth.reflectance import make_cloth, trace, trace_reach
+from nishiki.simulate.cloth.reflectance import make_cloth, trace, trace_reach, turned_frame
 from nishiki.simulate.cloth.settings import hemisphere_views, make_settings, quarter_views, session, unit
 from nishiki.simulate.reflection import body, fresnel, in_frame, reflect_filament
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from nishiki.errors import UserError
 from nishiki.simulate import capture as common
-from nishiki.simulate.cloth.points import R2
-from nishiki.simulate.cloth.reflectance import SimulatedCloth, blocks, cell_maps, make_cloth
+from nishiki.simulate.cloth.reflectance import R2, SimulatedCloth, blocks, cell_maps, make_cloth
 from nishiki.simulate.cloth.settings import PRESETS, GoniometerSettings, preset, unit
 from nishiki.simulate.randomness import subkey, uniform
 from nishiki.threads import over_rows
