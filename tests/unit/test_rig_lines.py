@@ -14,7 +14,6 @@ from simulated_devices import FAULTS, FaultyDome, SimulatedComXim, SimulatedDial
 
 from nishiki.artifacts.closed import parse
 from nishiki.errors import UserError
-from nishiki.rig import axes
 from nishiki.rig import device as lines
 from nishiki.rig.axes import ComXimSettings, ComXimTurntable, Grbl, GrblAxis, GrblSettings
 from nishiki.rig.described import (
@@ -38,10 +37,9 @@ DESTRUCTIVE = [fault for fault in FAULTS if fault not in ("halves", "noise")]
 def short_waits(monkeypatch):
     """Simulated devices answer at once: a missing answer need not be waited for as long as a real one."""
     monkeypatch.setattr(lines, "QUIET_S", 0.05)
-    for module in (axes, lines):
-        monkeypatch.setattr(module, "ANSWER_S", 0.6)
-        monkeypatch.setattr(module, "GREETING_S", 1.0)
-    monkeypatch.setattr(axes, "MOVE_S", 1.0)
+    monkeypatch.setattr(lines, "ANSWER_S", 0.6)
+    monkeypatch.setattr(lines, "GREETING_S", 1.0)
+    monkeypatch.setattr(lines, "MOVE_S", 1.0)
 
 
 @pytest.fixture
@@ -375,7 +373,7 @@ def test_the_zero_of_a_comxim_table_needs_a_person_unless_the_table_keeps_it(por
         with refused(DeviceError, by="home"):
             table.home()
         device.angle = 33.0
-        monkeypatch.setattr(axes, "ask_operator", lambda name, request: None)
+        monkeypatch.setattr(lines, "ask_operator", lambda name, request: None)
         table.home()
         assert device.zero == 33.0
         table.move_to(20.0)

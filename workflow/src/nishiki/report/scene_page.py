@@ -11,21 +11,7 @@ from nishiki.artifacts.closed import Closed
 from nishiki.artifacts.limits import Limit, at_bounds, limit_checks, limit_warnings
 from nishiki.artifacts.provenance import canonical
 from nishiki.artifacts.stage import Context
-from nishiki.report.page import (
-    Block,
-    Cell,
-    CommandLines,
-    EmbeddedPage,
-    Facts,
-    Fold,
-    Metric,
-    Page,
-    PageSection,
-    Table,
-    contents,
-    read_json,
-    render_page,
-)
+from nishiki.report import page
 from nishiki.report.pictures import file_jpeg
 from nishiki.report.svg import figure, plain
 
@@ -41,7 +27,7 @@ class Head(NamedTuple):
     title: str | None
     about: str
     facts: Sequence[tuple[str, str]]
-    tiles: Sequence[Metric]
+    tiles: Sequence[page.Metric]
     verdict: Sequence[tuple[str, str]]
     warnings: Sequence[str] = ()
 
@@ -78,7 +64,7 @@ class SceneData:
         self.widest = context.settings.picture_columns
         self.diagnostics = {name: artifact.diagnostics for name, artifact in self.inputs.items()}
         evaluate = next((each for name, each in self.inputs.items() if name.endswith("evaluate")), None)
-        self.evaluation: dict[str, Any] = read_json(evaluate, "evaluation.json") or {}
+        self.evaluation: dict[str, Any] = page.read_json(evaluate, "evaluation.json") or {}
 
     def value(self, *path: str) -> Any:
         """Return the diagnostic at a path that begins with a stage; None where any part of the path is missing."""
@@ -92,12 +78,12 @@ def at(values: Any, *path: str) -> Any:
     return values
 
 
-def fact_rows(values: Any, facts: Sequence[tuple[str, str, float]]) -> list[tuple[str, Cell]]:
+def fact_rows(values: Any, facts: Sequence[tuple[str, str, float]]) -> list[tuple[str, page.Cell]]:
     """Return label and value of facts, without those that are missing; of several values, the mean and the range.
 
     facts : label with the unit, path of the value with dots between its names, and factor from the value to the unit.
     """
-    rows: list[tuple[str, Cell]] = []
+    rows: list[tuple[str, page.Cell]] = []
     for label, path, factor in facts:
         value = at(values, *path.split("."))
         several = list(value.values()) if isinstance(value, dict) else value
@@ -118,10 +104,10 @@ def write_scene_page(
     data: SceneData,
     stages: Mapping[str, Any],
     head: Head,
-    sections: Sequence[tuple[str, Callable[[Any], PageSection | None]]],
+    sections: Sequence[tuple[str, Callable[[Any], page.PageSection | None]]],
     *,
-    more_left_out: Sequence[Block] = (),
-    more_made: Sequence[Block] = (),
+    more_left_out: Sequence[page.Block] = (),
+    more_made: Sequence[page.Block] = (),
 ) -> dict[str, Any]:
     """Write `report.html`; return the stage's diagnostics.
 
@@ -146,9 +132,11 @@ def write_scene_page(
     shown = [section for stage, write in sections if stage in data.inputs and (section := write(data))]
     if viewer:
         address, summary = f"{viewer}/index.html", "move lamps or the object, zoom, measure, compare: loaded at a click"
-        frame = PageSection("viewer", "Look for yourself", [EmbeddedPage(address, "Viewer", summary)], "Viewer")
+        frame = page.PageSection(
+            "viewer", "Look for yourself", [page.EmbeddedPage(address, "Viewer", summary)], "Viewer"
+        )
         shown = [frame, *shown]
-    page = Page(
+    made = page.Page(
         title=settings.title or head.title or stamp["scene"],
         subtitle=Markup("Scene <code>{}</code>, {}.").format(stamp["scene"], head.about),
         sections=[*shown, *closing],
@@ -160,16 +148,16 @@ def write_scene_page(
         verdict=head.verdict,
         warnings=[*head.warnings, *beyond],
     )
-    html = render_page(page)
+    html = page.render_page(made)
     context.output.path("report.html").write_text(html, encoding="utf-8")
     rendered = (artifact for stage, artifact in inputs.items() if stage.endswith("render"))
-    pictures = (contents(each, f"{name}.png") for each in rendered for name in each.diagnostics["pictures"])
+    pictures = (page.contents(each, f"{name}.png") for each in rendered for name in each.diagnostics["pictures"])
     if picture := next(filter(None, pictures), None):
         context.output.path(THUMBNAIL).write_bytes(file_jpeg(picture, THUMBNAIL_COLUMNS))
     return {
         "bytes": len(html.encode()),
         "stages": sorted(inputs),
-        "title": page.title,
+        "title": made.title,
         "about": head.about,
         "figures": [dataclasses.asdict(tile) for tile in head.tiles],
     }
@@ -180,9 +168,9 @@ def closing_sections(
     stages: Mapping[str, Any],
     stamp: Mapping[str, str],
     left_out: Mapping[str, str],
-    more_left_out: Sequence[Block] = (),
-    more_made: Sequence[Block] = (),
-) -> list[PageSection]:
+    more_left_out: Sequence[page.Block] = (),
+    more_made: Sequence[page.Block] = (),
+) -> list[page.PageSection]:
     """Return the last four sections. left_out : of the plan, name to reason."""
     there = [name for name in stages if name in inputs]
     diagnostics = {name: inputs[name].diagnostics for name in there}
@@ -193,35 +181,37 @@ def closing_sections(
         "the same inputs give the same bytes."
     )
     return [
-        PageSection("left-out", "What was read and what was left out, and why",
+        page.PageSection("left-out", "What was read and what was left out, and why",
                 [*left_out_blocks(left_out, diagnostics), *more_left_out], "Left out"),
-        PageSection("conditions", "Conditions and flags", [Table(
+        page.PageSection("conditions", "Conditions and flags", [page.Table(
             ("Stage", "figure", "value", "expected", "state"), rows, "lwrll",
             "Condition numbers, flagged shares and errors of every stage, with the limits beyond which a run stops, "
             "or warns, unless the stage's setting “allow” names them.")], "Conditions"),
-        PageSection("made", "How it was made",
+        page.PageSection("made", "How it was made",
                 [*more_made, made, *(record(inputs[name].manifest, stages[name]) for name in there)]),
-        PageSection("verify", "How to verify", verification(stamp)),
+        page.PageSection("verify", "How to verify", verification(stamp)),
     ]  # fmt: skip
 
 
-def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mapping[str, Any]]) -> list[Block]:
+def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mapping[str, Any]]) -> list[page.Block]:
     """Return omissions of the plan, files of the capture read by ingest, and measured decisions of stages.
 
     diagnostics : of every stage by its name: `read` of ingest says what was read, `economy` of any stage what it
     decided (see `nishiki.model_selection.decision`).
     """
-    blocks: list[Block] = []
+    blocks: list[page.Block] = []
     if read := diagnostics.get("ingest", {}).get("read"):
         files = [
             (row["what"], row["read"], row["of"], f"{row['bytes_read'] / 1e6:.2f}", f"{row['bytes_of'] / 1e6:.2f}")
             for row in [*read["files"], {**read["total"], "what": "all files"}]
         ]
         caption = "Files of the capture. Those that no stage of the plan looks at were not opened."
-        blocks.append(Table(("files", "read", "of", "MB read", "MB of"), files, "lrrrr", caption, last_is_sum=True))
+        blocks.append(
+            page.Table(("files", "read", "of", "MB read", "MB of"), files, "lrrrr", caption, last_is_sum=True)
+        )
         kept = "{} of {} channels".format(*read["channels"])
         blocks.append(f"Kept of that: {kept}.")
-    blocks.append(Facts(sorted(left_out.items())) if left_out else "The plan left nothing out.")
+    blocks.append(page.Facts(sorted(left_out.items())) if left_out else "The plan left nothing out.")
     decided = [
         (stage, what.replace("_", " "), *(entry.get(name) for name in ("decision", "criterion")),
          *("" if entry.get(name) is None else entry[name] for name in ("measured", "limit")),
@@ -232,16 +222,16 @@ def left_out_blocks(left_out: Mapping[str, str], diagnostics: Mapping[str, Mappi
     if decided:
         head = ("stage", "what", "decision", "criterion", "measured", "limit", "loss", "to decide otherwise")
         caption = "Decided by the stages themselves, each by what it measured; a setting overrides most of them."
-        blocks.append(Table(head, decided, "llwwrrww", caption))
+        blocks.append(page.Table(head, decided, "llwwrrww", caption))
     return blocks
 
 
-def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tuple[Cell, ...]]:
+def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tuple[page.Cell, ...]]:
     """Return rows (stage, meaning, value, limit, state) of one artifact; last, the parameters that ended at a bound.
 
     A run stops where a result is beyond a limit and not allowed to be; beyond some it goes on with a warning.
     """
-    stage, rows = manifest["stage"], list[tuple[Cell, ...]]()
+    stage, rows = manifest["stage"], list[tuple[page.Cell, ...]]()
     for check in limit_checks(limits, manifest["diagnostics"], manifest["settings"].get("allow", ())):
         limit = check.limit
         stated = "none"
@@ -259,7 +249,7 @@ def conditions(manifest: Mapping[str, Any], limits: Sequence[Limit]) -> list[tup
     return rows
 
 
-def record(manifest: Mapping[str, Any], stage: Any) -> Fold:
+def record(manifest: Mapping[str, Any], stage: Any) -> page.Fold:
     """Return settings, diagnostics, inputs, code and libraries of one stage."""
     name, key = manifest["stage"], manifest["key"]
     rows, changed = settings_rows(manifest["settings"], stage.settings)
@@ -270,10 +260,10 @@ def record(manifest: Mapping[str, Any], stage: Any) -> Fold:
     libraries = [f"{library} {version}" for library, version in sorted(manifest.get("libraries", {}).items())]
     megabytes = sum(entry["bytes"] for entry in manifest["files"].values()) / 1e6
     code = Markup("<code>{}</code>").format
-    blocks: list[Block] = [
-        Table(("name", "value", "default", "meaning"), rows, "lwww", "Settings", marked=changed),
-        Table((), [(code(place), value) for place, value in flat(manifest["diagnostics"])], "lw", "Diagnostics"),
-        Facts([
+    blocks: list[page.Block] = [
+        page.Table(("name", "value", "default", "meaning"), rows, "lwww", "Settings", marked=changed),
+        page.Table((), [(code(place), value) for place, value in flat(manifest["diagnostics"])], "lw", "Diagnostics"),
+        page.Facts([
             ("Made from", Markup(", ").join(upstream)),
             ("Code", code(manifest.get("code") or "not recorded")),
             ("Libraries", ", ".join(libraries) or "not recorded"),
@@ -282,13 +272,13 @@ def record(manifest: Mapping[str, Any], stage: Any) -> Fold:
         ]),
     ]  # fmt: skip
     mark = f"{len(changed)} setting{'s' * (len(changed) > 1)} changed" if changed else ""
-    return Fold(name, stage.does, blocks, code=key, mark=mark)
+    return page.Fold(name, stage.does, blocks, code=key, mark=mark)
 
 
-def settings_rows(values: Mapping[str, Any], model: type[Closed]) -> tuple[list[tuple[Cell, ...]], set[int]]:
+def settings_rows(values: Mapping[str, Any], model: type[Closed]) -> tuple[list[tuple[page.Cell, ...]], set[int]]:
     """List name, value, default and meaning of each setting in the order of the model; numbers of the changed ones."""
     defaults = model().model_dump(mode="json")
-    rows: list[tuple[Cell, ...]] = []
+    rows: list[tuple[page.Cell, ...]] = []
     changed = set()
     for number, (name, field) in enumerate(model.model_fields.items()):
         value = values.get(name, defaults[name])
@@ -300,7 +290,7 @@ def settings_rows(values: Mapping[str, Any], model: type[Closed]) -> tuple[list[
     return rows, changed
 
 
-def verification(stamp: Mapping[str, str]) -> list[Block]:
+def verification(stamp: Mapping[str, str]) -> list[page.Block]:
     """Return the commands that check all of it."""
     scene, code = stamp["scene"], Markup("<code>{}</code>").format
     return [
@@ -308,7 +298,7 @@ def verification(stamp: Mapping[str, str]) -> list[Block]:
             "Every file of every artifact is listed with its SHA-256 in an <code>artifact.json</code>, which also "
             "names the artifacts that it was made from and their digests. Paths are relative to {}."
         ).format(code(f"results/{scene}/")),
-        CommandLines(
+        page.CommandLines(
             f"./nishiki verify results/{scene}       # recompute every digest; names each damaged, missing or foreign "
             f"file\n./nishiki explain {scene}              # would anything run again, and why\n"
             "./nishiki run                        # make whatever is missing or out of date"

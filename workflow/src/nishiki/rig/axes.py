@@ -18,18 +18,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from nishiki.artifacts.closed import Closed
-from nishiki.rig.device import (
-    ANSWER_S,
-    GREETING_S,
-    MOVE_S,
-    POLL_S,
-    Baud,
-    DeviceError,
-    DeviceLost,
-    SerialLine,
-    ask_operator,
-    closed_on_failure,
-)
+from nishiki.rig import device
 
 GREETING = r"^Grbl"
 TOO_OLD = r"^Grbl 0\."
@@ -73,7 +62,7 @@ class Grbl:
 
     Parameters
     ----------
-    device : str
+    name : str
         Name in messages.
     port : str
         Serial port.
@@ -81,14 +70,14 @@ class Grbl:
         Bits per second.
     """
 
-    def __init__(self, device: str, port: str, baud: int = 115200) -> None:
-        self.device, self.port = device, port
-        self.line = SerialLine(device, port, baud, restart=GREETING)
+    def __init__(self, name: str, port: str, baud: int = 115200) -> None:
+        self.device, self.port = name, port
+        self.line = device.SerialLine(name, port, baud, restart=GREETING)
         self.home_position: dict[str, float] = {}
         self.alarmed = False
-        with closed_on_failure(self.line):
+        with device.closed_on_failure(self.line):
             # Most boards restart when their port is opened; one that is reached by USB itself does not.
-            greeting = self.line.greeting(GREETING, GREETING_S) or self._restart()
+            greeting = self.line.greeting(GREETING, device.GREETING_S) or self._restart()
             if re.search(TOO_OLD, greeting):
                 raise self._failure(f"expected GRBL 1.1 or newer, found {greeting!r}. Remedy: install GRBL 1.1")
 
@@ -103,16 +92,16 @@ class Grbl:
             return
         if self.alarmed:
             self._restart()
-        self._command("$H", MOVE_S)
-        self._command("G21 G90", ANSWER_S)
-        _, position = self._wait_until_idle(time.monotonic() + MOVE_S)
+        self._command("$H", device.MOVE_S)
+        self._command("G21 G90", device.ANSWER_S)
+        _, position = self._wait_until_idle(time.monotonic() + device.MOVE_S)
         self.home_position = position
 
     def move(self, letter: str, target: float) -> None:
         """Turn one axis to a machine coordinate; return when the controller stands still there."""
         word = f"{letter}{target:.3f}"
-        end = time.monotonic() + MOVE_S
-        self._command(f"G53 G0 {word}", MOVE_S)
+        end = time.monotonic() + device.MOVE_S
+        self._command(f"G53 G0 {word}", device.MOVE_S)
         while True:
             _, position = self._wait_until_idle(end)
             if abs(position[letter] - target) <= STANDS_WITHIN:
@@ -124,8 +113,8 @@ class Grbl:
                 raise self._failure(f"{found}, which is the same in inches. Remedy: set $13=0 and run again")
             if time.monotonic() > end:
                 remedy = "check what holds it, then run again; the axes are homed first"
-                raise self._failure(f"{found} after {MOVE_S:g} s. Remedy: {remedy}")
-            time.sleep(POLL_S)
+                raise self._failure(f"{found} after {device.MOVE_S:g} s. Remedy: {remedy}")
+            time.sleep(device.POLL_S)
 
     def close(self) -> None:
         """Close the line; a second call does nothing."""
@@ -136,11 +125,11 @@ class Grbl:
         """Reset the controller and return its greeting."""
         self.line.discard()  # after some alarms it restarts by itself, and its greeting is still to be read
         self.line.send(RESET, ending=False)
-        greeting = self.line.greeting(GREETING, GREETING_S)
+        greeting = self.line.greeting(GREETING, device.GREETING_S)
         if not greeting:
-            raise DeviceLost(
-                f"{self.device} at {self.port}: sent Ctrl-X, received no greeting of GRBL within {GREETING_S:g} s. "
-                f"Remedy: check its power, and the port and speed ({self.line.baud} baud) with ./nishiki rig ports"
+            raise device.DeviceLost(
+                f"{self.device} at {self.port}: sent Ctrl-X, received no greeting of GRBL within {device.GREETING_S:g} "
+                f"s. Remedy: check its power, and the port and speed ({self.line.baud} baud) with ./nishiki rig ports"
             )
         self.home_position, self.alarmed = {}, False
         return greeting
@@ -152,7 +141,7 @@ class Grbl:
         """Send one command and return its answer; any error leaves the positions unknown."""
         try:
             return self.line.ask(text, expect, timeout_s, r"^(error|ALARM):(\d+)", self._explain, ending)
-        except DeviceError:
+        except device.DeviceError:
             self.home_position = {}
             raise
 
@@ -175,19 +164,19 @@ class Grbl:
             if time.monotonic() > end:
                 remedy = "check what holds the axis, and its greatest speed ($110 to $112)"
                 raise self._failure(f"still in state {state} after the time for this movement. Remedy: {remedy}")
-            time.sleep(POLL_S)
+            time.sleep(device.POLL_S)
 
     def _status(self) -> tuple[str, dict[str, float]]:
-        match = self._asking("?", r"^<([A-Za-z]+)(?::\d+)?\|(.*)>$", ANSWER_S, ending=False)
+        match = self._asking("?", r"^<([A-Za-z]+)(?::\d+)?\|(.*)>$", device.ANSWER_S, ending=False)
         position = re.search(r"MPos:(-?\d+\.?\d*(?:,-?\d+\.?\d*)*)(?:\||$)", match[2])
         if position is None:
             raise self._failure(f"sent '?', received {match[0]!r} without a machine position. Remedy: set $10=1")
         return match[1], dict(zip("XYZABC", map(float, position[1].split(",")), strict=False))
 
-    def _failure(self, what: str) -> DeviceError:
+    def _failure(self, what: str) -> device.DeviceError:
         """Make the error of a controller whose positions became unknown."""
         self.home_position = {}
-        return DeviceError(f"{self.device} at {self.port}: {what}")
+        return device.DeviceError(f"{self.device} at {self.port}: {what}")
 
 
 class GrblSettings(Closed):
@@ -202,7 +191,7 @@ class GrblSettings(Closed):
     home_deg: float = Field(0.0, description="angle (straight: millimetres) at which homing ends")
     range_deg: tuple[float, float] = Field((0.0, 360.0), description="smallest and largest angle or millimetre")
     straight: bool = Field(False, description="goes along a line, and counts millimetres instead of degrees")
-    baud: Baud = Field(115200, description="bits per second")
+    baud: device.Baud = Field(115200, description="bits per second")
 
     @model_validator(mode="after")
     def _possible(self) -> "GrblSettings":
@@ -225,7 +214,7 @@ class GrblAxis:
         self.controller.home()
         if self.settings.axis not in self.controller.home_position:
             axes = ", ".join(self.controller.home_position)
-            raise DeviceError(f"{self.name}: the controller has no axis {self.settings.axis}; it has {axes}")
+            raise device.DeviceError(f"{self.name}: the controller has no axis {self.settings.axis}; it has {axes}")
 
     def move_to(self, degrees: float) -> None:
         """Turn to an angle and return when the axis stands."""
@@ -244,15 +233,15 @@ def expect_in_range(name: str, degrees: float, range_deg: tuple[float, float]) -
     """Raise DeviceError where an angle is outside the range of an axis (or is not a number)."""
     low, high = range_deg
     if not low <= degrees <= high:
-        raise DeviceError(
+        raise device.DeviceError(
             f"{name}: expected an angle from {low:g} to {high:g} degrees, found {degrees:g}. "
             "Remedy: correct the plan, or range_deg in the description of the rig"
         )
 
 
-def not_homed_error(name: str) -> DeviceError:
+def not_homed_error(name: str) -> device.DeviceError:
     """Return the error of a move of an axis whose position is unknown."""
-    return DeviceError(f"{name}: its position is not known since it was opened or failed. Remedy: home it first")
+    return device.DeviceError(f"{name}: its position is not known since it was opened or failed. Remedy: home it first")
 
 
 STEP_DEG = 0.01
@@ -264,7 +253,7 @@ class ComXimSettings(Closed):
 
     kind: Literal["comxim"]
     port: str = Field(description="serial port")
-    baud: Baud = Field(115200, description="bits per second")
+    baud: device.Baud = Field(115200, description="bits per second")
     command: Literal["TRUNSINGLE", "TURNSINGLE"] = Field("TRUNSINGLE", description="how its firmware spells a turn")
     reference: Literal["operator", "table"] = Field(
         "operator", description="zero: a person turns the table to its mark; or the table's own, while it has power"
@@ -278,18 +267,18 @@ class ComXimTurntable:
         self.name, self.settings = name, settings
         self.angle: float | None = None
         self.range_deg = (0.0, 360.0)
-        self.line = SerialLine(name, settings.port, settings.baud, ending=";", ignore=b"#")
-        with closed_on_failure(self.line):
+        self.line = device.SerialLine(name, settings.port, settings.baud, ending=";", ignore=b"#")
+        with device.closed_on_failure(self.line):
             # Opening the port can reach the table as noise, which it answers with CR+ERR: either answer shows that it
             # is there.
-            self.line.ask("CT()", r"CR\+(OK|ERR)", ANSWER_S)
+            self.line.ask("CT()", r"CR\+(OK|ERR)", device.ANSWER_S)
             self.line.discard()
 
     def home(self) -> None:
         """Find the zero; see the setting `reference`."""
         self.angle = None
         if self.settings.reference == "operator":
-            ask_operator(self.name, "turn the table by hand to its zero mark")
+            device.ask_operator(self.name, "turn the table by hand to its zero mark")
             self._ask("CT+SETZERO()")
         else:
             # A table that stands at zero already acknowledges TOZERO and never says that it ended: it is moved first.
@@ -300,7 +289,9 @@ class ComXimTurntable:
     def move_to(self, degrees: float) -> None:
         """Turn the shorter way to an angle, and return when the table stands."""
         if not math.isfinite(degrees):
-            raise DeviceError(f"{self.name}: expected an angle in degrees, found {degrees}. Remedy: correct the plan")
+            raise device.DeviceError(
+                f"{self.name}: expected an angle in degrees, found {degrees}. Remedy: correct the plan"
+            )
         if self.angle is None:
             raise not_homed_error(self.name)
         angle, self.angle = self.angle, None  # unknown while it turns
@@ -320,10 +311,10 @@ class ComXimTurntable:
 
     def _turn_by(self, text: str) -> None:
         self._ask(text)
-        self.line.answer(r"CR\+EVENT=TB_END", MOVE_S, r"CR\+ERR=(\d+)", self._explain)
+        self.line.answer(r"CR\+EVENT=TB_END", device.MOVE_S, r"CR\+ERR=(\d+)", self._explain)
 
     def _ask(self, text: str) -> None:
-        self.line.ask(text, r"CR\+OK", ANSWER_S, r"CR\+ERR=(\d+)", self._explain)
+        self.line.ask(text, r"CR\+OK", device.ANSWER_S, r"CR\+ERR=(\d+)", self._explain)
 
     def _explain(self, refusal: re.Match[str]) -> str:
         other = "TURNSINGLE" if self.settings.command == "TRUNSINGLE" else "TRUNSINGLE"

@@ -16,19 +16,8 @@ from nishiki.capture.folder import MIRROR_BALLS
 from nishiki.capture.layouts import Layout, find_mask, photographs_in, settle_directions
 from nishiki.capture.lights import light_name, lights_from_vectors
 from nishiki.capture.options import ConvertOptions
-from nishiki.capture.spheres import search
+from nishiki.capture.spheres import lamps, search
 from nishiki.capture.spheres.circles import locate_given, search_circles
-from nishiki.capture.spheres.lamps import (
-    Falloff,
-    LampFit,
-    Sighting,
-    estimate_lens,
-    find_free_pixels,
-    fit_lamps,
-    locate_origin,
-    refit_under,
-    scale_radii,
-)
 from nishiki.capture.spheres.optics import INSIDE, SphereCamera, find_highlight
 from nishiki.capture.spheres.outline import Circle, fit_outline
 from nishiki.capture.taking import SATURATED, full_scale_of, read_grey
@@ -54,7 +43,7 @@ class MeasuredSpheres:
     # its highlights count all photographs that were given; `numbers` are those of the measured
     findings: search.Findings
     numbers: list[int]
-    fit: LampFit  # in millimetres where the spheres' radius is known, else in radii
+    fit: lamps.LampFit  # in millimetres where the spheres' radius is known, else in radii
     # (lamps,): part of the uncertainty of the directions that the unknown lens makes, radians; within
     # fit.direction_sigma
     lens_sigma: np.ndarray
@@ -124,18 +113,18 @@ def measure_spheres(given: search.SphereInput) -> MeasuredSpheres:
             findings,
         )
     numbers = {lamp: i for i, lamp in enumerate(seen)}
-    sightings = [Sighting(numbers[s.lamp], s.sphere, s.pixel, s.sigma_px) for s in sightings]
+    sightings = [lamps.Sighting(numbers[s.lamp], s.sphere, s.pixel, s.sigma_px) for s in sightings]
     stack = overview.stack[seen]
-    lens, lens_sigma = estimate_lens(given, findings, sightings, len(seen), stack)
-    findings.camera, findings.outlines = refit_under(lens, findings)
+    lens, lens_sigma = lamps.estimate_lens(given, findings, sightings, len(seen), stack)
+    findings.camera, findings.outlines = lamps.refit_under(lens, findings)
     falloff = _falloff(given, findings.camera, seen) if given.board else None
     near = len(findings.outlines) > 1
-    fit = fit_lamps(
+    fit = lamps.fit_lamps(
         sightings,
         findings.outlines,
         findings.camera,
-        scale_radii([each.parameters for each in findings.outlines], findings.camera, given),
-        lambda parameters: locate_origin(parameters, findings.camera, given),
+        lamps.scale_radii([each.parameters for each in findings.outlines], findings.camera, given),
+        lambda parameters: lamps.locate_origin(parameters, findings.camera, given),
         lamps=len(seen),
         near=near or falloff is not None,
         falloff=falloff,
@@ -152,7 +141,7 @@ def measure_spheres(given: search.SphereInput) -> MeasuredSpheres:
         fit,
         lens_sigma,
         _positions_are_accurate(fit, given),
-        search.fit_scene(search.bright_blocks(stack, find_free_pixels(findings)), fit.directions),
+        search.fit_scene(search.bright_blocks(stack, lamps.find_free_pixels(findings)), fit.directions),
         warnings,
     )
 
@@ -206,7 +195,7 @@ def _measure_sphere(
         findings.highlights[i, k] = find_highlight(picture, noise, outline.parameters, camera, corner)
 
 
-def _sightings(findings: search.Findings, names: list[str]) -> tuple[list[Sighting], list[str]]:
+def _sightings(findings: search.Findings, names: list[str]) -> tuple[list[lamps.Sighting], list[str]]:
     """Select usable highlights and list warnings; record lamps without one in `findings.left_out`."""
     sightings, doubtful, warnings = [], [], []
     reasons: dict[str, list[str]] = {name: [] for name in names}
@@ -226,9 +215,9 @@ def _sightings(findings: search.Findings, names: list[str]) -> tuple[list[Sighti
             elif not 1 / AREA_RANGE < (ratio := highlight.area_px / area) < AREA_RANGE:
                 why = "it may be partly hidden" if ratio < 1 else "it may be a glare or two lamps"
                 reasons[name].append(f"a highlight has {ratio:.2g} times the area of the others; {why}")
-                doubtful.append(Sighting(i, k, highlight.pixel, highlight.sigma_px))
+                doubtful.append(lamps.Sighting(i, k, highlight.pixel, highlight.sigma_px))
             else:
-                sightings.append(Sighting(i, k, highlight.pixel, highlight.sigma_px))
+                sightings.append(lamps.Sighting(i, k, highlight.pixel, highlight.sigma_px))
     sure = {s.lamp for s in sightings}
     sightings += [s for s in doubtful if s.lamp not in sure]
     seen = {s.lamp for s in sightings}
@@ -240,7 +229,7 @@ def _sightings(findings: search.Findings, names: list[str]) -> tuple[list[Sighti
     return sightings, warnings
 
 
-def _falloff(given: search.SphereInput, camera: SphereCamera, seen: list[int]) -> Falloff:
+def _falloff(given: search.SphereInput, camera: SphereCamera, seen: list[int]) -> lamps.Falloff:
     """Compute the logarithm of the light on blocks of the board, under the measured lamps."""
     top = SATURATED * full_scale_of(given.board[0])
     side = max(1, max(camera.rows, camera.columns) // BOARD_BLOCKS)
@@ -264,10 +253,10 @@ def _falloff(given: search.SphereInput, camera: SphereCamera, seen: list[int]) -
             "--board: expected at least 30 % of the board to be neither dark nor saturated, found "
             f"{100 * usable:.0f} %. Remedy: photograph the board again with another exposure"
         )
-    return Falloff(np.column_stack([right.ravel(), above.ravel()]), log_light)
+    return lamps.Falloff(np.column_stack([right.ravel(), above.ravel()]), log_light)
 
 
-def _positions_are_accurate(fit: LampFit, given: search.SphereInput) -> bool:
+def _positions_are_accurate(fit: lamps.LampFit, given: search.SphereInput) -> bool:
     """Check whether the positions of all lamps are accurate enough to write."""
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = fit.inverse_distance_sigma / fit.inverse_distance
@@ -275,7 +264,7 @@ def _positions_are_accurate(fit: LampFit, given: search.SphereInput) -> bool:
     return bool(given.radius_mm is not None and usable.all())
 
 
-def _fit_warnings(fit: LampFit, names: list[str], near: bool, given: search.SphereInput) -> list[str]:
+def _fit_warnings(fit: lamps.LampFit, names: list[str], near: bool, given: search.SphereInput) -> list[str]:
     warnings = []
     behind = [name for name, u in zip(names, fit.directions, strict=True) if u[2] <= 0]
     if behind:
@@ -340,7 +329,7 @@ def read_with_balls(source: Path, photographs: list[Path], options: ConvertOptio
     mask = options.mask or find_mask(source)
     files = {MIRROR_BALLS: png_bytes(search.draw_findings(measured.findings))}
     if mask is None:
-        files[MASK] = png_bytes(255 * find_free_pixels(measured.findings, whole=True).astype(np.uint8))
+        files[MASK] = png_bytes(255 * lamps.find_free_pixels(measured.findings, whole=True).astype(np.uint8))
     ahead = [i for i, towards in enumerate(measured.fit.directions) if towards[2] > LEAST_Z]
     for name in (name for i, name in enumerate(measured.names) if i not in ahead):
         measured.findings.left_out[name] = "its lamp stands in or behind the object's plane"
@@ -368,7 +357,7 @@ def _refusal(source: Path, text: str, kind: str = "lamps-unmeasured") -> Capture
     return CaptureError(error(kind, str(source), text.split(" Remedy:")[0], remedy=remedy))
 
 
-def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: int) -> list[Problem]:
+def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, count: int) -> list[Problem]:
     """Report what was found and omitted, and the mask that excludes the balls from the object."""
     found, sigma = measured.findings, np.degrees(measured.fit.direction_sigma)
     circles = [each.circle(found.camera) for each in found.outlines]
@@ -380,7 +369,7 @@ def _notes(source: Path, measured: MeasuredSpheres, mask: Path | None, lamps: in
         warning(
             "lamps-from-balls",
             source.name,
-            f"there is no lights file; {lamps} lamps were measured on {len(circles)} mirror balls with an "
+            f"there is no lights file; {count} lamps were measured on {len(circles)} mirror balls with an "
             f"uncertainty of {np.median(sigma):.1f} degrees (largest {sigma.max():.1f}); {lens}",
             found=places,
             remedy=f"Look at {MIRROR_BALLS} in the capture: green outlines must lie on balls, red crosses on lights",

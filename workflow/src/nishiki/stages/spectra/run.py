@@ -9,13 +9,7 @@ import numpy as np
 from nishiki.artifacts.maps import Maps, MapWriter, TiledStage
 from nishiki.artifacts.stage import Context
 from nishiki.capture.tables import read_curves
-from nishiki.colour.estimate import (
-    SpectralEstimator,
-    estimate_spectra,
-    expected_colour_error,
-    fit_estimator,
-    sample_rows,
-)
+from nishiki.colour import estimate
 from nishiki.colour.sampling import channel_weights
 from nishiki.colour.training import measured_reflectances, synthetic_reflectances
 from nishiki.model_selection.decision import Decision, economy
@@ -48,11 +42,11 @@ def map_tiles(context: Context) -> dict:
     flags = out.create("flags")
     counts: Counter[str] = Counter()
     sampled = [np.zeros((0, reflectance.shape[2]))]
-    some_rows, some_columns = sample_rows(rows, columns)
+    some_rows, some_columns = estimate.sample_rows(rows, columns)
     for start in context.progress.over(context.share(range(0, rows, band_rows)), "band"):
         band = slice(start, min(rows, start + band_rows))
         observed = reflectance[band]
-        field = estimate_spectra(observed, estimator)
+        field = estimate.estimate_spectra(observed, estimator)
         inside = some_rows[(some_rows >= band.start) & (some_rows < band.stop)] - band.start
         sampled.append(observed[np.ix_(inside, some_columns)].reshape(-1, observed.shape[-1]))
         coefficients[band], sigma[band], flags[band] = field.coefficients, field.sigma, field.flags
@@ -68,7 +62,7 @@ def map_tiles(context: Context) -> dict:
     responses = np.concatenate(sampled)
     responses = responses[np.isfinite(responses).all(axis=1) & (responses > 0).any(axis=1)]
     curves = np.load(context.inputs["ingest"].path("curves.npz"))
-    errors = expected_colour_error(
+    errors = estimate.expected_colour_error(
         responses, training, channel_weights(curves["illuminant"], curves["sensitivities"]), estimator
     )
     return {
@@ -94,7 +88,7 @@ def merge(context: Context, tallies: list[dict]) -> dict:
     }
 
 
-def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Decision | None]:
+def fit(context: Context, training: np.ndarray) -> tuple[estimate.SpectralEstimator, Decision | None]:
     """Fit the estimator for this capture's lamp and camera; return the decision on its bases too."""
     curves = np.load(context.inputs["ingest"].path("curves.npz"))
     settings = context.settings
@@ -109,7 +103,9 @@ def fit(context: Context, training: np.ndarray) -> tuple[SpectralEstimator, Deci
     if settings.bases == "auto" and settings.method == "paper":
         numbers.append(principal_bases(training, channel_weights(lamp, camera), noise=settings.noise))
         bases = numbers[-1].count
-    estimator = fit_estimator(training, lamp, camera, method=settings.method, bases=bases, noise=settings.noise)
+    estimator = estimate.fit_estimator(
+        training, lamp, camera, method=settings.method, bases=bases, noise=settings.noise
+    )
     return estimator, decide_bases(numbers[-1], method=settings.method) if numbers else None
 
 
