@@ -17,16 +17,7 @@ from nishiki.artifacts.provenance import (
     program_of,
     scene_of_field,
 )
-from nishiki.engine.plan import (
-    TIMINGS,
-    Plan,
-    PlannedStage,
-    PlannedSweep,
-    PlannedVariant,
-    SceneSweep,
-    make_plan,
-    plan_sweep,
-)
+from nishiki.engine import plan as planning
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_facts, scene_with_exports
 from nishiki.errors import UserError, describe_machine_error, require, unknown_scene
 from nishiki.formats.files import machine_memory
@@ -71,10 +62,10 @@ PARTS = ".parts"
 class Scheduling:
     """Costs, groups and parts of the jobs of all plans; a part of `nishiki.engine.workflow.Workflow`."""
 
-    plans: Mapping[str, Plan]
+    plans: Mapping[str, planning.Plan]
     results: str
 
-    def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
+    def stage(self, scene: str, stage: str, key: str) -> planning.PlannedStage:
         """Return the planned stage of a scene that has this key."""
         raise NotImplementedError
 
@@ -152,11 +143,11 @@ LEAVE_OUT = "NISHIKI_LEAVE_OUT_REFUSED"
 class Plans(Mapping):
     """Plans by scene, each made when it is first asked for: a job of one scene among thousands needs one."""
 
-    def __init__(self, names: list[str], make: Callable[[str], Plan]):
-        self._names: dict[str, Plan | None] = dict.fromkeys(names)
+    def __init__(self, names: list[str], make: Callable[[str], planning.Plan]):
+        self._names: dict[str, planning.Plan | None] = dict.fromkeys(names)
         self._make = make
 
-    def __getitem__(self, name: str) -> Plan:
+    def __getitem__(self, name: str) -> planning.Plan:
         plan = self._names[name]
         if plan is None:
             plan = self._names[name] = self._make(name)
@@ -212,17 +203,17 @@ class Workflow(Scheduling):
         for name in only:
             if name not in self.project.scenes:
                 raise UserError(unknown_scene(name, self.project.scenes))
-        self.sweep: PlannedSweep | None = None
-        self._swept: dict[tuple[str, str, str], PlannedStage] = {}
+        self.sweep: planning.PlannedSweep | None = None
+        self._swept: dict[tuple[str, str, str], planning.PlannedStage] = {}
         self._known_facts: dict[tuple[Path, Path | None], SceneFacts] = {}
         scenes = [self.project.scenes[name] for name in only or self.project.scenes]
         names = dict.fromkeys(each.name for scene in scenes for each in scene.with_fields)
         plans = Plans(list(names), self._plan)
-        self.plans: Mapping[str, Plan] = plans
+        self.plans: Mapping[str, planning.Plan] = plans
         self.refused: dict[str, str] = {}
         if self.project.configuration.sweep:
             # a scene's own plan is that of its first variant, the scene as it is configured
-            self.sweep = plan_sweep(self.project.configuration.sweep, self.project, self._facts)
+            self.sweep = planning.plan_sweep(self.project.configuration.sweep, self.project, self._facts)
             self.plans = {swept.scene: swept.variants[0].plan for swept in self.sweep.scenes}
             for swept in self.sweep.scenes:
                 for variant in swept.variants:
@@ -242,12 +233,14 @@ class Workflow(Scheduling):
             self._known_facts[place] = scene_facts(scene)
         return self._known_facts[place]
 
-    def _plan(self, name: str) -> Plan:
+    def _plan(self, name: str) -> planning.Plan:
         scene = self.project.scenes[name]
         facts = self._facts(scene)
         if formats := self.project.configuration.exports.get(name):
             scene = scene_with_exports(scene, facts.geometry, formats)
-        return make_plan(scene, facts, {field: self.plans[scene_of_field(name, field)] for field in facts.fields})
+        return planning.make_plan(
+            scene, facts, {field: self.plans[scene_of_field(name, field)] for field in facts.fields}
+        )
 
     def can_be_planned(self, scene: str) -> bool:
         """Return whether a lazy plan can be made; asked only where scenes that cannot are to be left out."""
@@ -258,7 +251,7 @@ class Workflow(Scheduling):
         except (UserError, OSError):
             return False
 
-    def stage(self, scene: str, stage: str, key: str) -> PlannedStage:
+    def stage(self, scene: str, stage: str, key: str) -> planning.PlannedStage:
         """Return the planned stage of a scene that has this key, in any of the scene's plans."""
         plan = self.plans.get(scene)
         planned = plan.stages.get(stage) if plan else None
@@ -277,7 +270,7 @@ class Workflow(Scheduling):
         for scene, plan in self.plans.items():
             places |= {(scene, name, stage.key) for name, stage in plan.stages.items()}
         for named in (*self.project.configuration.sweeps, *sweeps):
-            for swept in plan_sweep(named, self.project, self._facts).scenes:
+            for swept in planning.plan_sweep(named, self.project, self._facts).scenes:
                 for variant in swept.variants:
                     places |= {(swept.scene, name, stage.key) for name, stage in variant.plan.stages.items()}
         return places
@@ -298,7 +291,7 @@ class Workflow(Scheduling):
         """List the manifests of the artifacts that a stage reads."""
         return list(self.above(scene, self.stage(scene, stage, key)).values())
 
-    def above(self, scene: str, planned: PlannedStage) -> dict[str, str]:
+    def above(self, scene: str, planned: planning.PlannedStage) -> dict[str, str]:
         """Map the names under which a stage of a scene reads artifacts to their manifests."""
         return {
             name: self.path(*place_above(scene, name), key)
@@ -334,9 +327,9 @@ class Workflow(Scheduling):
 
     def timing(self, scene: str, stage: str, key: str, number: int | str) -> str:
         """Return the path of the record of one repeat of a stage."""
-        return f"{self.results}/{SWEEPS}/{TIMINGS}/{scene}/{stage}/{key}/{number}.json"
+        return f"{self.results}/{SWEEPS}/{planning.TIMINGS}/{scene}/{stage}/{key}/{number}.json"
 
-    def timings(self, swept: SceneSweep, variant: PlannedVariant) -> dict[str, list[str]]:
+    def timings(self, swept: planning.SceneSweep, variant: planning.PlannedVariant) -> dict[str, list[str]]:
         """List the records of all repeats of the counted stages of a variant, by stage."""
         numbers = range(1, require(self.sweep).settings.repeats + 1)
         planned = variant.plan.stages
@@ -346,7 +339,7 @@ class Workflow(Scheduling):
             if name in planned
         }
 
-    def evaluation(self, swept: SceneSweep, variant: PlannedVariant) -> str:
+    def evaluation(self, swept: planning.SceneSweep, variant: planning.PlannedVariant) -> str:
         """Return the manifest of the evaluation of a variant."""
         return self.path(swept.scene, swept.evaluation, variant.plan.stages[swept.evaluation].key)
 

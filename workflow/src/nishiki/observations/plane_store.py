@@ -28,18 +28,7 @@ from nishiki.capture.lights import direction_problems
 from nishiki.formats.problems import Problem, error_text, name_some, raise_errors, warning
 from nishiki.formats.stored import BandedGroup, chunk_path, write_chunk
 from nishiki.observations import consistency
-from nishiki.observations.frames import (
-    ALL_SATURATED,
-    FrameReader,
-    PhotographCounter,
-    Settings,
-    Wishes,
-    describe_samples,
-    refuse_unusable,
-    sample_warnings,
-    subtract_light,
-    write_small_arrays,
-)
+from nishiki.observations import frames as reading
 from nishiki.observations.linearise import bands_with_object, count_unusable, edges_between, field_rows, rows_of_band
 from nishiki.observations.plane import FORMAT, STORE, Observations
 from nishiki.observations.reference import measure_darks, measure_gains, measure_room
@@ -84,7 +73,9 @@ class Corrections:
     problems: tuple[Problem, ...] = ()  # warnings, one for each kind of correction
 
 
-def find_corrections(reader: FrameReader, reduced: consistency.ReducedPhotographs, wishes: Wishes) -> Corrections:
+def find_corrections(
+    reader: reading.FrameReader, reduced: consistency.ReducedPhotographs, wishes: reading.Wishes
+) -> Corrections:
     """Measure the photographs of a plane against each other, and decide on corrections; reduced: all observed ones.
 
     Raises CaptureError: dark-bright; lights-few or lights-coplanar, where too few photographs remain.
@@ -142,7 +133,7 @@ def find_corrections(reader: FrameReader, reduced: consistency.ReducedPhotograph
 
 
 def _choose_gains(
-    capture: Capture, found: Consistency, wishes: Wishes
+    capture: Capture, found: Consistency, wishes: reading.Wishes
 ) -> tuple[np.ndarray, np.ndarray | None, list[Problem]]:
     """Choose lamp strengths where neither boards nor intensities give them; warn of contradicting exposures.
 
@@ -180,7 +171,7 @@ def _choose_gains(
 
 
 def _choose_ambient(
-    capture: Capture, found: Consistency, values: np.ndarray, lamps: np.ndarray, wishes: Wishes
+    capture: Capture, found: Consistency, values: np.ndarray, lamps: np.ndarray, wishes: reading.Wishes
 ) -> tuple[np.ndarray, list[Problem]]:
     """Choose the ambient light (channels,) to subtract, relative to the albedo; 0 where it is not significant."""
     none = np.zeros(values.shape[3])
@@ -220,7 +211,11 @@ def _plain(value: float) -> float | None:
 
 
 def write_observations(
-    capture: Capture, folder: Path | str, *, settings: Settings, progress: Callable[[int, int, str], None] | None = None
+    capture: Capture,
+    folder: Path | str,
+    *,
+    settings: reading.Settings,
+    progress: Callable[[int, int, str], None] | None = None,
 ) -> dict[str, Any]:
     """Write `frames.zarr` into the folder, which must not hold one; read it with `Observations`.
 
@@ -237,8 +232,8 @@ def write_observations(
     choice = chosen(capture, settings.without)
     capture = choice.capture
     once = sum(len(capture.frames_of(role)) for role in ("dark", "white", "ambient"))
-    tick = PhotographCounter(progress, once + len(capture.observed))
-    reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
+    tick = reading.PhotographCounter(progress, once + len(capture.observed))
+    reader = reading.FrameReader.of(capture, settings.channels, unopened=choice.files)
     asked, size = reader.region, (reader.rows, reader.columns)
     outline = object_mask(capture, size, asked)
     mask = outline.inside.astype(np.uint8)
@@ -298,7 +293,7 @@ def write_observations(
     labels, label_warnings = region_numbers(capture, size, reader.region)
     if labels is not None:
         arrays["regions"] = labels
-    write_small_arrays(group, reader, defect, arrays)
+    reading.write_small_arrays(group, reader, defect, arrays)
     group.update(**_attributes(capture, reader, settings, band_rows), asked_region=list(asked))
     if corrections.uncertainty:
         group.update(uncertainty=corrections.uncertainty)
@@ -308,7 +303,7 @@ def write_observations(
     problems = [*doubts, *darks.problems, *gains.problems, *problems]
     inside = int(mask.sum(dtype=np.int64))
     return {
-        **describe_samples(reader, counts, inside, problems),
+        **reading.describe_samples(reader, counts, inside, problems),
         "rows": rows,
         "columns": columns,
         "lights": tuple(frame.light for frame in capture.observed),
@@ -323,16 +318,16 @@ def write_observations(
     }
 
 
-def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader) -> list[Problem]:
+def frame_problems(frame: Frame, counts: np.ndarray, highest: float, reader: reading.FrameReader) -> list[Problem]:
     """List the problems of one frame's values; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable."""
     saturated, dark, broken, inside = (int(v) for v in counts)
     reader.see(frame, highest)
-    limit = ALL_SATURATED * inside
-    refuse_unusable(frame, bright=saturated > limit, black=dark > limit, shown="object", leave_out="light")
-    return sample_warnings(frame, broken, saturated, inside)
+    limit = reading.ALL_SATURATED * inside
+    reading.refuse_unusable(frame, bright=saturated > limit, black=dark > limit, shown="object", leave_out="light")
+    return reading.sample_warnings(frame, broken, saturated, inside)
 
 
-def _attributes(capture: Capture, reader: FrameReader, settings: Settings, band_rows: int) -> dict:
+def _attributes(capture: Capture, reader: reading.FrameReader, settings: reading.Settings, band_rows: int) -> dict:
     places = [capture.lights.index(frame.light) for frame in capture.observed]
     positions = capture.lights.vectors[places].tolist() if capture.settings.lights.kind == "position_mm" else None
     row, column, _, _ = reader.region
@@ -388,7 +383,7 @@ def subtract_room(store: Path, ambient: np.ndarray, strengths: np.ndarray) -> No
         for light, photograph in enumerate(codes):
             gain = field_rows(observations.gain[light] * scale[light], observations.edges, start, start + len(room))
             share = np.divide(room, gain, out=np.zeros_like(room), where=gain > 0)
-            part = subtract_light(photograph, share, observations.lut, saturated)
+            part = reading.subtract_light(photograph, share, observations.lut, saturated)
             rest = np.zeros((observations.band_rows - len(part), *part.shape[1:]), part.dtype)
             place = chunk_path(store / "codes", light, number)
             write_chunk(place, np.concatenate([part, rest]), compression=compression)

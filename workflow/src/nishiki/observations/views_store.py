@@ -15,17 +15,7 @@ from nishiki.formats.coding import LUMA_WEIGHTS
 from nishiki.formats.masks import Mask, examine_mask, expect_size, read_mask
 from nishiki.formats.problems import Problem, refuse
 from nishiki.formats.stored import BandedGroup
-from nishiki.observations.frames import (
-    ALL_SATURATED,
-    FrameReader,
-    PhotographCounter,
-    Settings,
-    Tick,
-    describe_samples,
-    refuse_unusable,
-    sample_warnings,
-    write_small_arrays,
-)
+from nishiki.observations import frames as reading
 from nishiki.observations.kernels import ANY_CODE, decode_codes
 from nishiki.observations.linearise import Edges, count_unusable, picture_edges
 from nishiki.observations.reference import DarkField, board_fields, measure_darks
@@ -51,7 +41,9 @@ class Whites:
     problems: tuple[Problem, ...]
 
 
-def measure_whites(reader: FrameReader[TurntableCapture], darks: DarkField, edges: Edges, tick: Tick) -> Whites:
+def measure_whites(
+    reader: reading.FrameReader[TurntableCapture], darks: DarkField, edges: Edges, tick: reading.Tick
+) -> Whites:
     """Compute the gain of each light from its white board without polariser, else 1.
 
     Values are those at the longest exposure of the sample frames; a board brings them to a perfect white.
@@ -79,7 +71,7 @@ def measure_whites(reader: FrameReader[TurntableCapture], darks: DarkField, edge
 
 def attributes_of(
     capture: TurntableCapture,
-    reader: FrameReader,
+    reader: reading.FrameReader,
     whites: Whites,
     *,
     white_block: int,
@@ -159,7 +151,7 @@ def write_views(
     capture: TurntableCapture,
     folder: Path | str,
     *,
-    settings: Settings,
+    settings: reading.Settings,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> dict[str, Any]:
     """Write `views.zarr` into the folder, which must not hold one; read it with `Views`.
@@ -174,8 +166,8 @@ def write_views(
     """
     choice = chosen(capture, settings.without)
     capture, opened = choice.capture, "photographs" not in choice.skipped
-    tick = PhotographCounter(progress, len(capture.frames) - (0 if opened else len(capture.observed)))
-    reader = FrameReader.of(capture, settings.channels, unopened=choice.files)
+    tick = reading.PhotographCounter(progress, len(capture.frames) - (0 if opened else len(capture.observed)))
+    reader = reading.FrameReader.of(capture, settings.channels, unopened=choice.files)
     edges = picture_edges((reader.rows, reader.columns), settings.white_block)
     group = BandedGroup.create(Path(folder) / STORE)
     outlines, doubts = _write_silhouettes(group, capture, reader)
@@ -186,12 +178,12 @@ def write_views(
     _write_calibration(group, reader, tick)
     defect = darks.defect | whites.defect
     arrays = {"gain": whites.gain, "dark": darks.for_frames(capture.observed)}
-    write_small_arrays(group, reader, defect, arrays)
+    reading.write_small_arrays(group, reader, defect, arrays)
     block = settings.white_block
     group.update(**attributes_of(capture, reader, whites, white_block=block, silhouettes=outlines, boards=boards))
     problems = (*capture.warnings, *doubts, *reader.warnings(), *darks.problems, *whites.problems, *problems)
     return {
-        **describe_samples(reader, counts, np.maximum(counts[:, 3], 1), problems),
+        **reading.describe_samples(reader, counts, np.maximum(counts[:, 3], 1), problems),
         "rows": reader.rows,
         "columns": reader.columns,
         "views": capture.views,
@@ -206,7 +198,7 @@ def write_views(
 
 
 def _write_silhouettes(
-    group: BandedGroup, capture: TurntableCapture, reader: FrameReader
+    group: BandedGroup, capture: TurntableCapture, reader: reading.FrameReader
 ) -> tuple[list[str], list[Problem]]:
     """Write the given silhouettes, one chunk a view; return the views that have one, and warnings."""
     named = [(i, view, frame) for i, view in enumerate(capture.views) if (frame := capture.silhouette_of(view))]
@@ -234,7 +226,7 @@ def read_silhouette(frame: Frame, size: tuple[int, int]) -> Mask:
 
 
 def _write_codes(
-    group: BandedGroup, reader: FrameReader, outlines: list[str], tick: Tick, *, opened: bool
+    group: BandedGroup, reader: reading.FrameReader, outlines: list[str], tick: reading.Tick, *, opened: bool
 ) -> tuple[np.ndarray, list[Problem]]:
     """Write every frame of the object into its chunk; return counts (frames, 4) and problems of the frames.
 
@@ -260,7 +252,7 @@ def _write_codes(
 
 
 def view_problems(
-    frame: Frame, counts: np.ndarray, highest: float, reader: FrameReader, *, outlined: bool
+    frame: Frame, counts: np.ndarray, highest: float, reader: reading.FrameReader, *, outlined: bool
 ) -> list[Problem]:
     """List the problems of one frame's values; CaptureError (bits-exceeded, all-saturated, all-dark) if unusable.
 
@@ -269,15 +261,15 @@ def view_problems(
     """
     saturated, dark, broken, inside = (int(v) for v in counts)
     reader.see(frame, highest)
-    bright = saturated > (ALL_SATURATED * inside if outlined else inside - 1)
-    refuse_unusable(frame, bright=bright, black=dark == inside, shown="picture", leave_out="photograph")
+    bright = saturated > (reading.ALL_SATURATED * inside if outlined else inside - 1)
+    reading.refuse_unusable(frame, bright=bright, black=dark == inside, shown="picture", leave_out="photograph")
     expected = reader.capture.settings.turntable.background == "bright" and not outlined
     shown = "object" if outlined else "picture"
-    return sample_warnings(frame, broken, 0 if expected else saturated, inside, shown=shown)
+    return reading.sample_warnings(frame, broken, 0 if expected else saturated, inside, shown=shown)
 
 
 def _write_boards(
-    group: BandedGroup, reader: FrameReader, darks: DarkField, whites: Whites, edges: Edges, tick: Tick
+    group: BandedGroup, reader: reading.FrameReader, darks: DarkField, whites: Whites, edges: Edges, tick: reading.Tick
 ) -> list[list[str]]:
     """Write the mean white board of each light and state, in the samples' units; return [light, state] of each.
 
@@ -302,7 +294,7 @@ def _write_boards(
     return [list(key) for key in keys]
 
 
-def _write_calibration(group: BandedGroup, reader: FrameReader, tick: Tick) -> None:
+def _write_calibration(group: BandedGroup, reader: reading.FrameReader, tick: reading.Tick) -> None:
     """Write pictures of the calibration board, grey, 8 bits, coded for display so that dark squares stay distinct."""
     frames = reader.capture.frames_of("board")
     if not frames:

@@ -7,18 +7,7 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.observations.plane import Observations
-from nishiki.report.page import (
-    MOST_PICTURES,
-    Block,
-    Cell,
-    Figure,
-    Figures,
-    Metric,
-    PageSection,
-    Table,
-    film,
-    film_and_notes,
-)
+from nishiki.report import page
 from nishiki.report.pictures import class_picture, file_picture
 from nishiki.report.scene_page import SLIGHT, Head, headline, text, write_scene_page
 from nishiki.report.svg import PALETTE, ChartCurve, chart, plain
@@ -67,15 +56,15 @@ FLAGS = {"AT_BOUND": "width at its bound", "NOT_CONVERGED": "not converged"}
 """Descriptions of a fit's flags in `parameters.json`."""
 
 
-def finishes_of(page: PaintingData) -> list[Block]:
+def finishes_of(data: PaintingData) -> list[page.Block]:
     """Return the map of the finishes and their figures; nothing where one explains the painting."""
-    finishes, names = page.finishes, page.names
-    if len(finishes) < 2 or "finish" not in page.maps["normals"]:
+    finishes, names = data.finishes, data.names
+    if len(finishes) < 2 or "finish" not in data.maps["normals"]:
         return []
-    maps = page.maps["normals"]
-    labels = page.small(lambda rows: np.where(page.mask[rows], maps.read("finish", rows), -1), "middle")
+    maps = data.maps["normals"]
+    labels = data.small(lambda rows: np.where(data.mask[rows], maps.read("finish", rows), -1), "middle")
     key = {k: (PALETTE[k % len(PALETTE)], name) for k, name in enumerate(names)}
-    rows: list[list[Cell]] = []
+    rows: list[list[page.Cell]] = []
     for name, finish in zip(names, finishes, strict=True):
         how = "together with the gloss" if finish.get("gloss_beta") else "from all lights, no gloss"
         how = how if finish["joint"] else "from the selected lights"
@@ -85,22 +74,22 @@ def finishes_of(page: PaintingData) -> list[Block]:
     caption = (
         "Finishes: share of the painting, part of a smooth surface's loss that the body suffers, fit of the normals."
     )
-    figures = Figures(
-        [Figure("Finishes", "where each was found, by its fit.", class_picture(labels, key), ruler=page.ruler)]
+    figures = page.Figures(
+        [page.Figure("Finishes", "where each was found, by its fit.", class_picture(labels, key), ruler=data.ruler)]
     )
-    return [figures, Table(head, rows, "lrrlr", caption)]
+    return [figures, page.Table(head, rows, "lrrlr", caption)]
 
 
-def gloss_section(page: PaintingData) -> PageSection:
+def gloss_section(data: PaintingData) -> page.PageSection:
     """Write the section on gloss."""
-    parameters = json.loads(page.inputs["brdf"].path("parameters.json").read_text())
-    return PageSection("gloss", "Gloss", [*finishes_of(page), *gloss_blocks(parameters["regions"], page.names)])
+    parameters = json.loads(data.inputs["brdf"].path("parameters.json").read_text())
+    return page.PageSection("gloss", "Gloss", [*finishes_of(data), *gloss_blocks(parameters["regions"], data.names)])
 
 
-def gloss_blocks(regions: list[dict[str, Any]], names: list[str]) -> list[Block]:
+def gloss_blocks(regions: list[dict[str, Any]], names: list[str]) -> list[page.Block]:
     """Return profiles and lobes of the regions of parameters.json; names : of the finishes."""
-    rows: list[list[Cell]] = []
-    charts: list[Figure] = []
+    rows: list[list[page.Cell]] = []
+    charts: list[page.Figure] = []
     for number, region in enumerate(regions):
         name = f"region {number}" if len(regions) > 1 else "whole scene"
         name = names[number] if len(names) == len(regions) > 1 else name
@@ -108,17 +97,17 @@ def gloss_blocks(regions: list[dict[str, Any]], names: list[str]) -> list[Block]
         rest = (region["refractive_index"], region.get("samples"), region.get("residual"), flags)
         for lobe, (beta, gamma) in enumerate(zip(region["beta"], region["gamma"], strict=True), 1):
             rows.append([name, lobe, beta, gamma, None if gamma is None else float(np.degrees(gamma)), *rest])
-        if region.get("profile") and len(charts) < MOST_PICTURES:
+        if region.get("profile") and len(charts) < page.MOST_PICTURES:
             charts += _profile_charts(region["profile"], name)
     head = ("Region", "lobe", "β", "γ, rad", "γ, degrees", "n", "samples", "residual", "flags")
     caption = (
         "Torrance-Sparrow parameters: strength β relative to the white reference, half width at half maximum γ, "
         "refractive index n."
     )
-    return [INTRODUCTION, Figures(charts), Table(head, rows, "lrrrrrrrl", caption)]
+    return [INTRODUCTION, page.Figures(charts), page.Table(head, rows, "lrrrrrrrl", caption)]
 
 
-def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
+def _profile_charts(profile: dict[str, Any], name: str) -> list[page.Figure]:
     """Draw the profile with linear and with logarithmic strength."""
     order = np.argsort(profile["phi"], kind="stable")
     phi = np.degrees(np.array(profile["phi"], float)[order])
@@ -153,19 +142,22 @@ def _profile_charts(profile: dict[str, Any], name: str) -> list[Figure]:
         **axes,
     )
     heading = name.capitalize()
-    return [Figure(heading, LINEAR, svg=linear), Figure(f"{heading}, logarithmic", LOGARITHMIC, svg=logarithmic)]
+    return [
+        page.Figure(heading, LINEAR, svg=linear),
+        page.Figure(f"{heading}, logarithmic", LOGARITHMIC, svg=logarithmic),
+    ]
 
 
-def appearance_section(page: PaintingData) -> PageSection:
+def appearance_section(data: PaintingData) -> page.PageSection:
     """Return pictures and films; a scale bar is below those seen from the front."""
-    render, video_mb = page.inputs["render"], page.settings.video_mb
+    render, video_mb = data.inputs["render"], data.settings.video_mb
     reported, pictures = render.diagnostics["pictures"], render.settings["pictures"]
     items = []
-    for entry in pictures[:MOST_PICTURES]:
+    for entry in pictures[: page.MOST_PICTURES]:
         exposure = describe_exposure(reported[entry["name"]]["exposure"], chosen=entry["exposure"] == "auto")
-        picture = file_picture(render.path(f"{entry['name']}.png").read_bytes(), page.widest)
-        scale = page.ruler if entry["view"]["kind"] == "frontal" else None
-        items.append(Figure(in_words(entry["name"]), f"{describe(entry)} {exposure}", picture, ruler=scale))
+        picture = file_picture(render.path(f"{entry['name']}.png").read_bytes(), data.widest)
+        scale = data.ruler if entry["view"]["kind"] == "frontal" else None
+        items.append(page.Figure(in_words(entry["name"]), f"{describe(entry)} {exposure}", picture, ruler=scale))
     intro = (
         "Pictures computed from the record, under lights that need not have been there. They show the object as an eye "
         "adapted to the light would see it: white balance by the lamp, exposure by the picture (each caption states "
@@ -173,24 +165,24 @@ def appearance_section(page: PaintingData) -> PageSection:
     )
     if render.diagnostics.get("balanced_by_object"):
         intro += " Without a white board the light parts of the object are taken as grey and as light."
-    blocks: list[Block] = [intro, Figures(items)]
+    blocks: list[page.Block] = [intro, page.Figures(items)]
     for entry in render.settings["sequences"]:
         facts = reported[entry["name"]]
         moves = f"The {entry['moves']} goes round at {entry['elevation_deg']:g}° above the plane."
         caption = f"{moves} {describe_exposure(facts['exposure'], chosen=True)}"
-        blocks.append(film(render, facts["file"], in_words(entry["name"]), caption, video_mb))
-    if more := [f"render/{render.key}/{entry['name']}.png" for entry in pictures[MOST_PICTURES:]]:
+        blocks.append(page.film(render, facts["file"], in_words(entry["name"]), caption, video_mb))
+    if more := [f"render/{render.key}/{entry['name']}.png" for entry in pictures[page.MOST_PICTURES :]]:
         blocks.append(f"Also made: {', '.join(more)}.")
-    return PageSection("appearance", "Appearance", [*blocks, *film_and_notes(render, "", video_mb)])
+    return page.PageSection("appearance", "Appearance", [*blocks, *page.film_and_notes(render, "", video_mb)])
 
 
-def photographs_section(page: PaintingData) -> PageSection | None:
+def photographs_section(data: PaintingData) -> page.PageSection | None:
     """Return the photographs and their lights; those of a mosaic belong to its fields."""
-    if "mosaic" in page.inputs:
+    if "mosaic" in data.inputs:
         return None
-    frames = page.frames
+    frames = data.frames
     return capture_section(
-        page.diagnostics["ingest"], lights=list(frames.lights), kinds=page.kinds, directions=frames.directions
+        data.diagnostics["ingest"], lights=list(frames.lights), kinds=data.kinds, directions=frames.directions
     )
 
 
@@ -227,7 +219,7 @@ PAPER_CHOICES = {
 }
 
 
-def choices(settings: dict[str, dict[str, Any]]) -> Table:
+def choices(settings: dict[str, dict[str, Any]]) -> page.Table:
     """Tabulate, for each step with a published choice: the method run, and whether it was the published one.
 
     settings : stage name -> its settings, of the stages that ran.
@@ -238,7 +230,7 @@ def choices(settings: dict[str, dict[str, Any]]) -> Table:
             ran = str(settings[stage][name])
             published = " (the published one)" if ran == paper else ""
             rows.append((step, f"{ran}{published}", f"{stage}.{name}", f"{paper}: {meaning}"))
-    return Table(
+    return page.Table(
         ("Step", "ran", "setting", "published choice"), rows, "llll",
         "Which method ran where the published one can be chosen as well. Only what ran is in this page; to see the "
         "other, give the scene table a second row with that setting.",
@@ -250,7 +242,7 @@ def expected_angle(normals: dict[str, Any], height: dict[str, Any] | None) -> fl
     return (height or {}).get("expected_error_median_deg", normals.get("sigma_median_deg"))
 
 
-def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any]) -> list[Metric]:
+def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, Any]) -> list[page.Metric]:
     """List the most important figures; diagnostics : of the stages; evaluation : evaluation.json."""
     normals = diagnostics["normals"]
     tiles: list[tuple[float | None, str, str]] = []
@@ -280,7 +272,7 @@ def at_a_glance(diagnostics: dict[str, dict[str, Any]], evaluation: dict[str, An
         tiles.append((1000 * height["rms"], "µm", words))
     if count := normals.get("object_pixels"):
         tiles.append((100 * normals["valid_pixels"] / count, "%", "of the object's pixels have a normal"))
-    return [Metric(value, unit, meaning) for value, unit, meaning in tiles if value is not None]
+    return [page.Metric(value, unit, meaning) for value, unit, meaning in tiles if value is not None]
 
 
 VISIBLE, PLAIN = 2.0, 5.0
