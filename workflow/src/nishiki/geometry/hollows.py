@@ -15,6 +15,7 @@ border. The depth with the smallest residual over the pixels of the region is ke
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -168,24 +169,28 @@ class ShadingPhotographs:
         bright = float(np.percentile(values[shown], 98))
         return cls(values / np.float32(max(bright, 1e-9)), small, shown)
 
-    def inside(self, points: np.ndarray) -> bool:
-        """Check whether all points (n, 3) project into all silhouettes, or within a pixel of them."""
+    @cached_property
+    def grown(self) -> list[np.ndarray]:
+        """The silhouettes (rows, columns), a pixel wider: uint8, 0 outside."""
         import cv2
 
-        for camera, silhouette in zip(self.cameras, self.silhouettes, strict=True):
-            grown = cv2.dilate(silhouette.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        return [cv2.dilate(each.astype(np.uint8), np.ones((3, 3), np.uint8)) for each in self.silhouettes]
+
+    def inside(self, points: np.ndarray) -> bool:
+        """Check whether all points (n, 3) project into all silhouettes, or within a pixel of them."""
+        for camera, grown in zip(self.cameras, self.grown, strict=True):
             column, row = np.rint(camera.project(points)[0]).astype(int).T
             column, row = column.clip(0, camera.columns - 1), row.clip(0, camera.rows - 1)
             if not grown[row, column].all():
                 return False
         return True
 
-    def residuals(self, depths: np.ndarray, points: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    def residuals(self, depths: list[np.ndarray], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
         """Compute the mean robust squared residual (n,) of points in the views that see them; -1 where too few do."""
         import cv2
 
-        shown = np.where(np.isfinite(depths), depths, 0).astype(np.float32)
-        return self.fit(np.stack([cv2.dilate(depth, np.ones((3, 3), np.uint8)) for depth in shown]), points, normals)[0]
+        shown, square = (np.where(np.isfinite(depth), depth, 0) for depth in depths), np.ones((3, 3), np.uint8)
+        return self.fit(np.stack([cv2.dilate(depth, square) for depth in shown]), points, normals)[0]
 
     def fit(self, seen: np.ndarray, points: np.ndarray, normals: np.ndarray, left_out: int = -1):
         """Return the residuals (n,), and what a view left out of the fit would show (n, channels), NaN if unknown.
@@ -235,7 +240,7 @@ def contradicted_regions(mesh: Mesh, photographed: ShadingPhotographs) -> list[l
 
     Each as several candidates, one for each of WIDTHS, the narrowest first.
     """
-    depths = np.stack([rasterise(mesh, camera).depth for camera in photographed.cameras])
+    depths = [rasterise(mesh, camera).depth for camera in photographed.cameras]
     values = photographed.residuals(depths, mesh.vertices, mesh.normals)
     seen = values >= 0
     if not seen.any():
@@ -341,44 +346,51 @@ def sink(mesh: Mesh, regions: list[np.ndarray], photographed: ShadingPhotographs
 
 
 class Shown:
-    """A mesh drawn in all views while only a region (v,) bool of it moves; the rest is drawn once."""
+    """A mesh drawn in all views while only a region (v,) bool of it moves; the rest is drawn once.
+
+    Every third view also keeps the triangle and the weights at each pixel.
+    """
 
     def __init__(self, mesh: Mesh, region: np.ndarray, photographed: ShadingPhotographs):
         self.photographed, self.triangles = photographed, mesh.triangles
         touched = region[mesh.triangles].any(axis=1)
-        self.moving, self.used = np.flatnonzero(touched), np.unique(mesh.triangles[touched])
+        self.moving, self.used = np.flatnonzero(touched).astype(np.int32), np.unique(mesh.triangles[touched])
         self.local = np.searchsorted(self.used, mesh.triangles[touched]).astype(np.int32)
-        still = replace(mesh, triangles=mesh.triangles[~touched])
-        self.still = [rasterise(still, camera) for camera in photographed.cameras]
-        numbers = np.append(np.flatnonzero(~touched), -1)
-        self.still = [replace(each, triangle=numbers[each.triangle]) for each in self.still]
-        self.drawn = self.draw(mesh)
+        rest, numbers = replace(mesh, triangles=mesh.triangles[~touched]), np.append(np.flatnonzero(~touched), -1)
+        self.depths, self.sampled = [], {}
+        for view, camera in enumerate(photographed.cameras):
+            still = rasterise(rest, camera)
+            self.depths.append(still.depth)
+            if view % 3 == 0:
+                self.sampled[view] = numbers.astype(np.int32)[still.triangle.ravel()], still.barycentric.reshape(-1, 2)
+        self.drawn = self.draw(mesh, {view: np.arange(len(each[0])) for view, each in self.sampled.items()})[1]
 
-    def draw(self, mesh: Mesh) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Draw triangle (pixels,), weights (pixels, 2) and depth (rows, columns) of each view of the moved mesh."""
-        part, views = Mesh(mesh.vertices[self.used], self.local, mesh.normals[self.used]), []
-        for camera, still in zip(self.photographed.cameras, self.still, strict=True):
+    def draw(self, mesh: Mesh, pixels: dict[int, np.ndarray]) -> tuple[list[np.ndarray], dict[int, tuple]]:
+        """Draw depths (rows, columns) of the moved mesh by view, triangle (n,) and weights (n, 2) at flat pixels."""
+        part, depths, sampled = Mesh(mesh.vertices[self.used], self.local, mesh.normals[self.used]), [], {}
+        for view, (camera, depth) in enumerate(zip(self.photographed.cameras, self.depths, strict=True)):
             moved = rasterise(part, camera)
-            nearer = moved.depth < still.depth
-            triangle = np.where(nearer, self.moving[moved.triangle], still.triangle)
-            weights = np.where(nearer[..., None], moved.barycentric, still.barycentric)
-            views.append((triangle.ravel(), weights.reshape(-1, 2), np.minimum(moved.depth, still.depth)))
-        return views
+            depths.append(np.minimum(moved.depth, depth))
+            if view in pixels:
+                places, (triangle, weights) = pixels[view], self.sampled[view]
+                nearer = (moved.depth < depth).ravel()[places]
+                triangle = np.where(nearer, self.moving[moved.triangle.ravel()[places]], triangle[places])
+                moved_weights = moved.barycentric.reshape(-1, 2)[places]
+                sampled[view] = triangle, np.where(nearer[:, None], moved_weights, weights[places])
+        return depths, sampled
 
     def pixels_of(self, region: np.ndarray) -> dict[int, np.ndarray]:
         """Find flat indexes of every third pixel showing a region in every third view: the same for all candidates."""
         inside = np.append(region[self.triangles].all(axis=1), False)
-        return {view: np.flatnonzero(inside[self.drawn[view][0]])[::3] for view in range(0, len(self.drawn), 3)}
+        return {view: np.flatnonzero(inside[triangle])[::3] for view, (triangle, _) in self.drawn.items()}
 
     def residual(self, mesh: Mesh, pixels: dict[int, np.ndarray]) -> float:
         """Average the residual of a mesh over these pixels; a point that few views see counts as contradicted."""
-        points, normals, views = [], [], self.draw(mesh)
-        for view, places in pixels.items():
-            triangle, weights = views[view][0][places], views[view][1][places]
+        points, normals, (depths, sampled) = [], [], self.draw(mesh, pixels)
+        for triangle, weights in sampled.values():
             for values, out in ((mesh.vertices, points), (mesh.normals, normals)):
                 out.append(interpolate(values, mesh.triangles, triangle, weights)[triangle >= 0])
         normal = np.concatenate(normals)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-        depths = np.stack([depth for _, _, depth in views])
         values = self.photographed.residuals(depths, np.concatenate(points), normal)
         return float(np.where(values < 0, LARGEST, values).sum() / len(values))
