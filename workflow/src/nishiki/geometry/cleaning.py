@@ -41,7 +41,7 @@ def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] 
     """
     vertices = np.asarray(vertices, np.float64)
     triangles = np.asarray(triangles, np.int64)
-    unreferenced = len(vertices) - len(np.unique(triangles))
+    unreferenced = int((np.bincount(triangles.ravel(), minlength=len(vertices)) == 0).sum())
     vertices, triangles, merged = merge_equal(vertices, triangles)
     triangles, degenerate = without_degenerate(vertices, triangles)
     _, first = np.unique(row_numbers(np.sort(triangles, axis=1)), return_index=True)  # whatever their vertices' order
@@ -49,9 +49,10 @@ def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] 
     triangles, crowded_edges, crowded = remove_crowded(vertices, triangles)
     if not len(triangles):
         raise ValueError("no triangle with an area is left")
-    triangles, turned = turned_alike(triangles)
-    vertices, triangles, split = split_touching(vertices, triangles)
-    triangles, turned_parts = outwards(vertices, triangles, cameras or [])
+    neighbours = find_neighbours(triangles)
+    triangles, turned = turned_alike(triangles, *neighbours)
+    vertices, triangles, split = split_touching(vertices, triangles, *neighbours[:2])
+    triangles, turned_parts = outwards(vertices, triangles, neighbours[:2], cameras or [])
     defects = Defects(merged, degenerate, duplicates, crowded_edges, crowded, split, turned, turned_parts, unreferenced)
     return compact(vertices, triangles), defects
 
@@ -61,7 +62,7 @@ def merge_equal(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray
 
     Return also the number of merged vertices among those that triangles use.
     """
-    used = np.unique(triangles)
+    used = np.flatnonzero(np.bincount(triangles.ravel()))
     inverse = row_numbers(vertices[used])
     _, first = np.unique(inverse, return_index=True)
     order = np.argsort(first, kind="stable")
@@ -75,9 +76,9 @@ def merge_equal(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray
 def without_degenerate(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, int]:
     """Select triangles with an area above rounding (relative to their longest side) and three different corners."""
     twice = np.linalg.norm(face_vectors(vertices, triangles), axis=1)
-    corners = vertices[triangles]
-    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
-    reach = np.abs(corners).max(axis=(1, 2))
+    ends = [vertices[triangles[:, k]] for k in range(3)]
+    longest = np.max([np.linalg.norm(ends[k] - ends[k - 1], axis=1) for k in range(3)], axis=0)
+    reach = np.abs(vertices).max(axis=1)[triangles].max(axis=1)
     # Coordinates carry float32's rounding in most files: a triangle thinner than that has no direction.
     sound = twice > longest * np.maximum(1e-9 * longest, 1e-14 * reach)
     a, b, c = triangles.T
@@ -109,7 +110,7 @@ def _edges(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return number, np.tile(np.arange(len(triangles)), 3), np.bincount(number)
 
 
-def _neighbours(triangles: np.ndarray):
+def find_neighbours(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Find pairs of triangles (p,), (p,) that share an edge, and whether both run along it in the same sense (p,)."""
     number, owners, _ = _edges(triangles)
     forward = np.concatenate([triangles[:, k] < triangles[:, (k + 1) % 3] for k in range(3)])
@@ -119,12 +120,13 @@ def _neighbours(triangles: np.ndarray):
     return owners[first], owners[second], forward[first] == forward[second]
 
 
-def turned_alike(triangles: np.ndarray) -> tuple[np.ndarray, int]:
-    """Turn triangles so that neighbours run along their edge in opposite senses.
+def turned_alike(
+    triangles: np.ndarray, first: np.ndarray, second: np.ndarray, same: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Turn triangles so that neighbours, as from `find_neighbours`, run along their edge in opposite senses.
 
     The smaller number of each part is turned; a Moebius strip keeps a seam.
     """
-    first, second, same = _neighbours(triangles)
     if not same.any():
         return triangles, 0
     from scipy.sparse import coo_matrix
@@ -151,13 +153,14 @@ def turned_alike(triangles: np.ndarray) -> tuple[np.ndarray, int]:
     return out, int(flip.sum())
 
 
-def split_touching(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, int]:
+def split_touching(
+    vertices: np.ndarray, triangles: np.ndarray, first: np.ndarray, second: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
     """Give each fan its own vertex where several fans of triangles touch in one point; count new vertices."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     # Corners of triangles are one fan where they share an edge at their vertex.
-    first, second, _ = _neighbours(triangles)
     starts, ends = [], []
     for k in range(3):
         for m in range(3):
@@ -179,13 +182,14 @@ def split_touching(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndar
     return np.concatenate([vertices, vertices[owner[extra]]]), target[labels].reshape(-1, 3), len(extra)
 
 
-def outwards(vertices: np.ndarray, triangles: np.ndarray, cameras: list[Camera]) -> tuple[np.ndarray, int]:
+def outwards(
+    vertices: np.ndarray, triangles: np.ndarray, neighbours: tuple, cameras: list[Camera]
+) -> tuple[np.ndarray, int]:
     """Turn the triangles of parts that are inside out, and count these parts."""
     parts, mine = parts_of(triangles, len(vertices))
     normals = face_vectors(vertices, triangles)
     middle = vertices[triangles].mean(axis=1)
-    first, second, _ = _neighbours(triangles)
-    shared = np.bincount(first, minlength=len(triangles)) + np.bincount(second, minlength=len(triangles))
+    shared = sum(np.bincount(each, minlength=len(triangles)) for each in neighbours)
     closed = np.bincount(mine, weights=shared, minlength=parts) == 3 * np.bincount(mine, minlength=parts)
     centre = np.stack([np.bincount(mine, weights=middle[:, k], minlength=parts) for k in range(3)], axis=1)
     centre = centre / np.bincount(mine, minlength=parts)[:, None]

@@ -43,12 +43,16 @@ class Mesh:
 
 def row_numbers(rows: np.ndarray) -> np.ndarray:
     """Return the number (n,) of each row of an array (n, k) among its distinct rows, in their lexicographic order."""
-    number = np.zeros(len(rows), np.int64)
+    number, size = np.zeros(len(rows), np.int64), 1
     for column in rows.T:
         whole = column.dtype.kind == "i"
         place = column - column.min(initial=0) if whole else np.unique(column, return_inverse=True)[1]
-        number = np.unique(number * (place.max(initial=0) + np.int64(1)) + place, return_inverse=True)[1]
-    return number
+        span = int(place.max(initial=0)) + 1
+        if size * span > np.iinfo(np.int64).max:
+            number = np.unique(number, return_inverse=True)[1]
+            size = len(rows)
+        number, size = number * np.int64(span) + place, size * span
+    return np.unique(number, return_inverse=True)[1]
 
 
 def face_vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
