@@ -114,7 +114,7 @@ def test_points_are_cut_by_the_second_smallest_distance_before_the_depth():
     for edges in (depths, parts.find_edges(np.stack([origin, -origin]), cell)):
         cuts.append(volume.copy())
         views = parts.field, np.stack([depths, edges])
-        cut_slab(*views, (origin, cell, 8), VOTES, 0.15, 0, count, cuts[-1])
+        cut_slab(*views, (tuple(origin), cell, 8), VOTES, 0.15, 0, count, cuts[-1])
     point = np.indices((count,) * 3).reshape(3, -1).T * cell + origin
     values = []
     for camera, distance, depth in zip(cameras, distances, depths, strict=True):

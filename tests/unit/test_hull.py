@@ -38,7 +38,7 @@ def test_field_agrees_with_points_asked_one_by_one(body, distortion):
         field = astuple(field_of(masks, cameras))
         value = np.array(
             [
-                at_point(field, np.arange(len(field[0])), p, misses, FAR, np.empty(3), np.empty(misses + 1))
+                at_point(field, np.arange(len(field[0])), len(field[0]), tuple(p), misses, FAR, np.empty(misses + 1))
                 for p in points
             ]
         )

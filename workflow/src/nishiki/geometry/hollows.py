@@ -64,7 +64,7 @@ def fit_matt_points(start, stop, views, limits, points, normals, out, predicted)
     """
     (pictures, deepest, poses, lenses, centres), (distance, tolerance, left_out) = views, limits
     count, rows, columns, channels = pictures.shape
-    shown, towards, light, spot = np.empty((count, channels)), np.empty((count, 3)), np.empty(3), np.empty(3)
+    shown, towards, light = np.empty((count, channels)), np.empty((count, 3)), np.empty(3)
     variance, weight, error = np.empty(count), np.empty(count), np.empty(count)
     sides, b = np.empty((channels, 3)), np.empty((channels, 3))
     for n in range(start, stop):
@@ -79,13 +79,13 @@ def fit_matt_points(start, stop, views, limits, points, normals, out, predicted)
                 facing += light[k] * normals[n, k]
             if facing < LEAST_COSINE * np.sqrt(square):
                 continue
-            project_point(poses[v], lenses[v], points[n, 0], points[n, 1], points[n, 2], spot)
-            if not (spot[2] > 0 and 1 <= spot[0] < columns - 2 and 1 <= spot[1] < rows - 2):
+            column, row, depth = project_point(poses, lenses, v, points[n, 0], points[n, 1], points[n, 2])
+            if not (depth > 0 and 1 <= column < columns - 2 and 1 <= row < rows - 2):
                 continue
-            if spot[2] > deepest[v, int(spot[1] + 0.5), int(spot[0] + 0.5)] + tolerance:
+            if depth > deepest[v, int(row + 0.5), int(column + 0.5)] + tolerance:
                 continue
-            i, j = int(spot[1]), int(spot[0])
-            s, t, mean = spot[1] - i, spot[0] - j, 0.0
+            i, j = int(row), int(column)
+            s, t, mean = row - i, column - j, 0.0
             for k in range(channels):
                 above = (1 - t) * pictures[v, i, j, k] + t * pictures[v, i, j + 1, k]
                 below = (1 - t) * pictures[v, i + 1, j, k] + t * pictures[v, i + 1, j + 1, k]

@@ -103,7 +103,7 @@ class Hull:
         if len(parts.cameras) < VOTES:
             return self
         depths, volume = np.stack([parts.depths, parts.find_edges(self.box, self.cell)]), self.volume.copy()
-        cut = partial(cut_slab, parts.field, depths, (self.origin, self.cell, BLOCK), VOTES, BAND * self.cell)
+        cut = partial(cut_slab, parts.field, depths, (tuple(self.origin), self.cell, BLOCK), VOTES, BAND * self.cell)
         list(in_threads(lambda s: cut(s, min(s + BLOCK, len(volume)), volume), range(0, len(volume), BLOCK)))
         changed = np.argwhere(volume < self.volume)
         if not len(changed):
@@ -329,7 +329,7 @@ def carve(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, cells:
     field = field_of(silhouettes, cameras, finest_px=cell_px / 4)
     volume = np.empty(shape, np.float32)
     views = field.poses, field.lenses, field.frames, field.buffer
-    fill = partial(fill_slab, views, (origin, cell), BLOCK, misses, BAND * cell)
+    fill = partial(fill_slab, views, (tuple(origin), cell, BLOCK), misses, BAND * cell)
     list(in_threads(lambda s: fill(s, min(s + BLOCK, shape[0]), volume), range(0, shape[0], BLOCK)))
     if not (volume > 0).any():
         raise UserError(
