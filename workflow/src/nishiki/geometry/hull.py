@@ -62,25 +62,6 @@ class FrontParts:
         beside = (self.distances < 0).sum(axis=(1, 2)) if self.cameras else []
         return {camera.name: int(count) for camera, count in zip(self.cameras, beside, strict=True)}
 
-    @property
-    def field(self) -> tuple[np.ndarray, ...]:
-        """Lay out the distances as in `nishiki.geometry.hull_kernels`."""
-        count, rows, columns = self.distances.shape
-        frames = [[view * rows * columns, 0, 0, rows, columns, 1, 0] for view in range(count)]
-        return *SilhouetteField.geometry_of(self.cameras), np.array(frames), self.distances.ravel()
-
-    def find_edges(self, box: np.ndarray, cell: float) -> np.ndarray:
-        """Find the depth behind edges that may cut a cube of BLOCK cells in the box about each pixel, 0 where none."""
-        import cv2
-
-        corners, out = np.stack(np.meshgrid(*box.T), axis=-1).reshape(-1, 3), np.empty_like(self.depths)
-        for view, (camera, lens) in enumerate(zip(self.cameras, self.field[1], strict=True)):
-            cell_px = cell * lens[10] / max(camera.project(corners)[1].min(), 1e-9 * cell)  # where it is largest
-            near = cv2.erode(self.distances[view], np.ones((5, 5), np.uint8)) < BAND * cell_px
-            reach = int(min(2 + BLOCK * cell_px, sum(near.shape)))
-            out[view] = cv2.dilate(np.where(near, self.depths[view], 0), np.ones((2 * reach + 1,) * 2, np.uint8))
-        return out
-
 
 @dataclass(frozen=True)
 class Hull:
@@ -102,8 +83,10 @@ class Hull:
 
         if len(parts.cameras) < VOTES:
             return self
-        depths, volume = np.stack([parts.depths, parts.find_edges(self.box, self.cell)]), self.volume.copy()
-        cut = partial(cut_slab, parts.field, depths, (tuple(self.origin), self.cell, BLOCK), VOTES, BAND * self.cell)
+        (count, rows, columns), volume = parts.distances.shape, self.volume.copy()
+        frames = np.array([[view * rows * columns, 0, 0, rows, columns, 1, 0] for view in range(count)])
+        field = *SilhouetteField.geometry_of(parts.cameras), frames, parts.distances.ravel()
+        cut = partial(cut_slab, field, parts.depths, (tuple(self.origin), self.cell), VOTES, BAND * self.cell)
         list(in_threads(lambda s: cut(s, min(s + BLOCK, len(volume)), volume), range(0, len(volume), BLOCK)))
         changed = np.argwhere(volume < self.volume)
         if not len(changed):

@@ -148,38 +148,26 @@ def fill_slab(field, grid, misses, band, first, last, volume):
 def cut_slab(field, depths, grid, votes, band, first, last, volume):
     """Lower volume (i, j, k) to the `votes`-th smallest distance to the edges of the parts that a point may belong to.
 
-    depths: (2, views, rows, columns) behind a part, and the largest of these near each pixel, within a block; only
-    points before that depth and in the volume are evaluated. grid: origin, cell, points along a block; others: as in
-    `fill_slab`.
+    field: of distances to an edge; depths (views, rows, columns) behind a part: only points before that depth and in
+    the volume are evaluated. Others: as in `fill_slab`.
     """
-    (poses, lenses, _, _), ((ox, oy, oz), cell, block), worst = field, grid, np.empty(MOST_MISSES + 1)
-    (_, ny, nz), (_, views, rows, columns), half = volume.shape, depths.shape, 0.5 * (block - 1)
-    near, behind = np.empty(views, np.int64), np.empty(views, np.int64)
-    for i0 in range(first, last, block):
-        for j0 in range(0, ny, block):
-            for k0 in range(0, nz, block):
-                found, x, y, z = 0, ox + cell * (i0 + half), oy + cell * (j0 + half), oz + cell * (k0 + half)
+    (poses, lenses, _, _), ((ox, oy, oz), cell), worst = field, grid, np.empty(MOST_MISSES + 1)
+    (views, rows, columns), behind = depths.shape, np.empty(len(depths), np.int64)
+    for i in range(first, last):
+        for j in range(volume.shape[1]):
+            for k in range(volume.shape[2]):
+                if volume[i, j, k] <= -cell:
+                    continue
+                count, x, y, z = 0, ox + cell * i, oy + cell * j, oz + cell * k
                 for view in range(views):
                     c, r, depth = project_point(poses, lenses, view, x, y, z)
-                    row, column = int(min(max(r + 0.5, 0.0), rows - 1.0)), int(min(max(c + 0.5, 0.0), columns - 1.0))
-                    near[found] = view
-                    found += depth - 2.0 * cell * half < max(depths[1, view, row, column], 0.0)
-                if found < votes:
-                    continue
-                for i in range(i0, min(i0 + block, last)):
-                    for j in range(j0, min(j0 + block, ny)):
-                        for k in range(k0, min(k0 + block, nz)):
-                            if volume[i, j, k] <= -cell:
-                                continue
-                            count, x, y, z = 0, ox + cell * i, oy + cell * j, oz + cell * k
-                            for n in range(found):
-                                c, r, depth = project_point(poses, lenses, near[n], x, y, z)
-                                row, column = int(r + 0.5), int(c + 0.5)
-                                if depth > 0.0 and 0 < row < rows - 1 and 0 < column < columns - 1:
-                                    behind[count] = near[n]
-                                    count += depth < depths[0, near[n], row, column]
-                            value = at_point(field, behind, count, (x, y, z), votes - 1, band, worst)
-                            volume[i, j, k] = min(volume[i, j, k], max(value, -band))
+                    row, column = int(r + 0.5), int(c + 0.5)
+                    if depth > 0.0 and 0 < row < rows - 1 and 0 < column < columns - 1:
+                        behind[count] = view
+                        count += depth < depths[view, row, column]
+                if count >= votes:
+                    value = at_point(field, behind, count, (x, y, z), votes - 1, band, worst)
+                    volume[i, j, k] = min(volume[i, j, k], max(value, -band))
 
 
 @njit(**JIT)
