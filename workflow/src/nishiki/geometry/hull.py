@@ -244,12 +244,12 @@ def _planes(silhouette: np.ndarray, camera: Camera) -> np.ndarray:
     import cv2
 
     _area_of(silhouette, camera)
-    points = np.argwhere(silhouette)[:, ::-1].astype(np.float32)
-    outline = cv2.convexHull(points)[:, 0].astype(np.float64)
+    rows = np.flatnonzero(silhouette.any(axis=1))
+    last = camera.columns - 1 - silhouette[rows, ::-1].argmax(axis=1)
+    points = np.concatenate([np.column_stack([each, rows]) for each in (silhouette[rows].argmax(axis=1), last)])
     # Pixels are squares: half a pixel more on every side.
-    outline = cv2.convexHull(
-        np.concatenate([outline + np.array([a, b]) for a in (-0.5, 0.5) for b in (-0.5, 0.5)]).astype(np.float32)
-    )[:, 0].astype(np.float64)
+    corners = np.concatenate([points + np.array([a, b]) for a in (-0.5, 0.5) for b in (-0.5, 0.5)])
+    outline = cv2.convexHull(corners.astype(np.float32))[:, 0].astype(np.float64)
     edge = np.array([camera.columns - 0.5, camera.rows - 0.5])
     following = np.roll(outline, -1, axis=0)
     on_border = ((outline == following) & ((outline <= -0.5) | (outline >= edge))).any(axis=1)
