@@ -21,39 +21,41 @@ PRODUCTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2), (0, 3), (1, 3), (2, 
 
 
 @njit(**JIT)
-def _plane(a, b, c, out):
-    """Compute unit normal and area of a triangle; (0, 0, 0) and 0 where it has none."""
+def _corner(vertices, n):
+    """Return vertex n as three numbers: a row that is taken from an array would count references, which costs more."""
+    return vertices[n, 0], vertices[n, 1], vertices[n, 2]
+
+
+@njit(**JIT)
+def _plane(a, b, c):
+    """Compute unit normal and area of a triangle; all 0 where it has none."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
     length = np.sqrt(x * x + y * y + z * z)
     if length <= 0.0:
-        out[0], out[1], out[2] = 0.0, 0.0, 0.0
-        return 0.0
-    out[0], out[1], out[2] = x / length, y / length, z / length
-    return 0.5 * length
+        return 0.0, 0.0, 0.0, 0.0
+    return x / length, y / length, z / length, 0.5 * length
 
 
 @njit(**JIT)
-def _best(first, second, a, b, out):
-    """Find the place (into out) of least error of two summed quadrics, drawn weakly to the middle of a and b; error."""
-    q = np.empty(10)
-    for k in range(10):
-        q[k] = first[k] + second[k]
-    pull = STIFF * (q[0] + q[3] + q[5]) + 1e-300
-    mx, my, mz = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), 0.5 * (a[2] + b[2])
-    xx, yy, zz = q[0] + pull, q[3] + pull, q[5] + pull
-    bx, by, bz = pull * mx - q[6], pull * my - q[7], pull * mz - q[8]
-    x, y, z, determinant = solve_by_cofactors((xx, q[1], q[2], yy, q[4], zz), bx, by, bz)
+def _best(quadrics, vertices, a, b):
+    """Find the place of least error of two vertices' summed quadrics, drawn weakly to their middle; error and place."""
+    xx, xy, xz = quadrics[a, 0] + quadrics[b, 0], quadrics[a, 1] + quadrics[b, 1], quadrics[a, 2] + quadrics[b, 2]
+    yy, yz, zz = quadrics[a, 3] + quadrics[b, 3], quadrics[a, 4] + quadrics[b, 4], quadrics[a, 5] + quadrics[b, 5]
+    qx, qy, qz = quadrics[a, 6] + quadrics[b, 6], quadrics[a, 7] + quadrics[b, 7], quadrics[a, 8] + quadrics[b, 8]
+    pull = STIFF * (xx + yy + zz) + 1e-300
+    (ax, ay, az), (bx, by, bz) = _corner(vertices, a), _corner(vertices, b)
+    mx, my, mz = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+    matrix = (xx + pull, xy, xz, yy + pull, yz, zz + pull)
+    x, y, z, determinant = solve_by_cofactors(matrix, pull * mx - qx, pull * my - qy, pull * mz - qz)
     if not determinant > 0.0:  # symmetric and positive definite by the pull, but for rounding
-        out[0], out[1], out[2] = mx, my, mz
+        x, y, z = mx, my, mz
     else:
-        out[0], out[1], out[2] = x / determinant, y / determinant, z / determinant
-    x, y, z = out[0], out[1], out[2]
-    squares = q[0] * x * x + q[3] * y * y + q[5] * z * z
-    return max(
-        0.0, squares + 2.0 * (q[1] * x * y + q[2] * x * z + q[4] * y * z + q[6] * x + q[7] * y + q[8] * z) + q[9]
-    )
+        x, y, z = x / determinant, y / determinant, z / determinant
+    squares, constant = xx * x * x + yy * y * y + zz * z * z, quadrics[a, 9] + quadrics[b, 9]
+    error = squares + 2.0 * (xy * x * y + xz * x * z + yz * y * z + qx * x + qy * y + qz * z) + constant
+    return max(0.0, error), (x, y, z)
 
 
 @njit(**JIT)
@@ -81,32 +83,26 @@ def _gather(vertex, head, following, faces, alive, marks, stamp, ring):
 
 
 @njit(**JIT)
-def _turns(vertex, other, place, surface, scratch):
+def _turns(vertex, other, place, surface):
     """Return whether moving `vertex` to place turns over, or flattens, a triangle that does not vanish with `other`."""
-    (vertices, head, following, faces, alive), (old, new, spot) = surface, scratch
+    vertices, head, following, faces, alive = surface
     node = head[vertex]
     while node >= 0:
         face = node // 3
         node = following[node]
         if not alive[face]:
             continue
-        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        if a == other or b == other or c == other:
+        i, j, k = faces[face, 0], faces[face, 1], faces[face, 2]
+        if i == other or j == other or k == other:
             continue
-        before = _plane(vertices[a], vertices[b], vertices[c], old)
-        for k in range(3):
-            spot[0, k] = place[k] if a == vertex else vertices[a, k]
-            spot[1, k] = place[k] if b == vertex else vertices[b, k]
-            spot[2, k] = place[k] if c == vertex else vertices[c, k]
-        area = _plane(spot[0], spot[1], spot[2], new)
+        a, b, c = _corner(vertices, i), _corner(vertices, j), _corner(vertices, k)
+        x, y, z, before = _plane(a, b, c)
+        a, b, c = place if i == vertex else a, place if j == vertex else b, place if k == vertex else c
+        u, v, w, area = _plane(a, b, c)
         longest = 0.0
-        for i in range(3):
-            j = (i + 1) % 3
-            side = (spot[i, 0] - spot[j, 0]) ** 2 + (spot[i, 1] - spot[j, 1]) ** 2 + (spot[i, 2] - spot[j, 2]) ** 2
-            longest = max(longest, side)
-        if area <= 0.01 * longest:
-            return True
-        if before > 0.0 and old[0] * new[0] + old[1] * new[1] + old[2] * new[2] < 0.3:
+        for p, q in ((a, b), (b, c), (c, a)):
+            longest = max(longest, (p[0] - q[0]) ** 2 + (p[1] - q[1]) ** 2 + (p[2] - q[2]) ** 2)
+        if area <= 0.01 * longest or (before > 0.0 and x * u + y * v + z * w < 0.3):
             return True
     return False
 
@@ -155,11 +151,11 @@ def _collapse(vertices, faces, target, quadrics, lists, edges):
     alive = np.ones(faces.shape[0], np.bool_)
     version, marks = np.zeros(count, np.int64), np.full(count, -1)
     ring, ring2 = np.empty(1024, np.int64), np.empty(1024, np.int64)
-    place, scratch = np.empty(3), (np.empty(3), np.empty(3), np.empty((3, 3)))
+    surface = vertices, head, following, faces, alive
     heap = [(0.0, 0, 0, 0, 0) for _ in range(0)]  # cost, ends and their versions
-    for a, b in edges:
-        cost = _best(quadrics[a], quadrics[b], vertices[a], vertices[b], place)
-        heap.append((cost, min(a, b), max(a, b), 0, 0))
+    for n in range(len(edges)):
+        a, b = min(edges[n, 0], edges[n, 1]), max(edges[n, 0], edges[n, 1])
+        heap.append((_best(quadrics, vertices, a, b)[0], a, b, 0, 0))
     heapq.heapify(heap)
     left, stamp = faces.shape[0], 0
     while left > target and len(heap) > 0:
@@ -183,13 +179,10 @@ def _collapse(vertices, faces, target, quadrics, lists, edges):
                 sides += 1
         if shared != sides or sides == 0 or (sides == 2 and near_a <= 3 and near_b <= 3):
             continue
-        _best(quadrics[a], quadrics[b], vertices[a], vertices[b], place)
-        if _turns(a, b, place, (vertices, head, following, faces, alive), scratch):
+        _, place = _best(quadrics, vertices, a, b)
+        if _turns(a, b, place, surface) or _turns(b, a, place, surface):
             continue
-        if _turns(b, a, place, (vertices, head, following, faces, alive), scratch):
-            continue
-        for k in range(3):
-            vertices[a, k] = place[k]
+        vertices[a, 0], vertices[a, 1], vertices[a, 2] = place
         for k in range(10):
             quadrics[a, k] += quadrics[b, k]
         version[b] = -1
@@ -209,8 +202,7 @@ def _collapse(vertices, faces, target, quadrics, lists, edges):
         stamp += 2
         near_a = _gather(a, head, following, faces, alive, marks, stamp, ring)
         for i in range(min(near_a, ring.shape[0])):
-            other = ring[i]
-            cost = _best(quadrics[a], quadrics[other], vertices[a], vertices[other], place)
-            first, second = min(a, other), max(a, other)
+            first, second = min(a, ring[i]), max(a, ring[i])
+            cost, _ = _best(quadrics, vertices, first, second)
             heapq.heappush(heap, (cost, first, second, version[first], version[second]))
     return alive
