@@ -118,29 +118,29 @@ def fewest_triangles(
     halvings of the logarithm), each from the last surface that does; 0 keeps all. most: no more triangles than this,
     whatever the deviation. Deterministic.
     """
-    scale = pixels_per_unit(mesh.vertices, cameras)
-    best = SimplifiedMesh(mesh, 0.0, 0.0, len(mesh.triangles))
-    if most is not None and most < len(mesh.triangles):
-        best = _measure_deviation(mesh, decimate(mesh, most), scale)
+    points = mesh.vertices[np.unique(mesh.triangles)]
+    points = points[:: max(1, len(points) // MEASURED)]
+    scale, before = pixels_per_unit(points, cameras), len(mesh.triangles)
+
+    def measure(light: Mesh) -> SimplifiedMesh:
+        off = distances(points, light) * scale
+        return SimplifiedMesh(light, float(np.percentile(off, 99)), float(off.max()), before)
+
+    best = SimplifiedMesh(mesh, 0.0, 0.0, before)
+    if most is not None and most < before:
+        best = measure(decimate(mesh, most))
     if deviation_px <= 0 or best.deviation_px > deviation_px:
         return best
-    low, high, lowest = None, np.log(len(best.mesh.triangles)), np.log(min(64, len(mesh.triangles)))
+    low, high, lowest = None, np.log(len(best.mesh.triangles)), np.log(min(64, before))
     while rounds and high > lowest:
         target = max(high - np.log(4), lowest) if low is None else 0.5 * (low + high)
         rounds -= low is not None
-        tried = _measure_deviation(mesh, decimate(best.mesh, int(np.exp(target))), scale)
+        tried = measure(decimate(best.mesh, int(np.exp(target))))
         if tried.deviation_px <= deviation_px:
             best, high = tried, target
         else:
             low = target
     return best
-
-
-def _measure_deviation(original: Mesh, mesh: Mesh, scale: np.ndarray) -> SimplifiedMesh:
-    used = np.unique(original.triangles)
-    used = used[:: max(1, len(used) // MEASURED)]
-    off = distances(original.vertices[used], mesh) * scale[used]
-    return SimplifiedMesh(mesh, float(np.percentile(off, 99)), float(off.max()), len(original.triangles))
 
 
 def snap(mesh: Mesh, step: float) -> Mesh:
