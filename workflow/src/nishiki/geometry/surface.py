@@ -174,8 +174,8 @@ def vertex_adjacency(mesh: Mesh):
     from scipy.sparse import coo_array
 
     ends, others = np.repeat(mesh.triangles, 2, axis=1).ravel(), mesh.triangles[:, [1, 2, 2, 0, 0, 1]].ravel()
-    graph = coo_array((np.ones(len(ends)), (ends, others)), (len(mesh.vertices),) * 2).tocsr()
-    graph.data[:] = 1.0
+    graph = coo_array((np.ones(len(ends), np.int8), (ends, others)), (len(mesh.vertices),) * 2).tocsr()
+    graph.data = np.ones(graph.nnz)
     return graph
 
 

@@ -13,7 +13,7 @@ from nishiki.geometry.cleaning import Defects, clean
 from nishiki.geometry.coherence import measure_coherence
 from nishiki.geometry.front_parts import find_front_parts
 from nishiki.geometry.hollows import ShadingPhotographs, sink_hollows
-from nishiki.geometry.hull import Hull, carve, usual_misses
+from nishiki.geometry.hull import carve, usual_misses
 from nishiki.geometry.mesh import Mesh, read_points, read_triangles, write_ply
 from nishiki.geometry.placement import agreement, find_overruled, move_mesh, outline_of
 from nishiki.geometry.silhouettes import display, segment
@@ -55,15 +55,17 @@ def run(context: Context) -> dict:
             context.progress.tell("front parts")
             coarse = carve(kept, cameras, cells=HOLLOW_CELLS)
             parts = find_front_parts(
-                extract_surface(coarse, cameras, 1.0)[0], photographs(views, cameras, kept, PARTS_PX)
+                clean_surface(coarse.mesh, cameras, 1.0)[0], photographs(views, cameras, kept, PARTS_PX)
             )
             diagnostics["front_parts"] = parts.pixels_beside()
             hull = hull.cut(parts)
-        mesh, defects, small = extract_surface(hull, cameras, settings.smooth)
-        del hull  # frees the volume and the uncleaned mesh
+        surface = hull.mesh
+        del hull  # frees the volume
+        mesh, defects, small = clean_surface(surface, cameras, settings.smooth)
+        del surface
         if settings.concavities:
             context.progress.tell("hollows")
-            coarse, _, _ = extract_surface(coarse.cut(parts), cameras, max(1.0, settings.smooth))
+            coarse, _, _ = clean_surface(coarse.cut(parts).mesh, cameras, max(1.0, settings.smooth))
             mesh, diagnostics["concavities"] = sink_hollows(mesh, coarse, photographs(views, cameras, kept, HOLLOWS_PX))
     else:
         read = read_file if source == "file" else merge_scans
@@ -167,9 +169,9 @@ def overrule(
     return out, {"overruled": {"misses": misses, "genus": shape_of(loose).genus, "mean": mean, "share": shares}}
 
 
-def extract_surface(hull: Hull, cameras: list[Camera], smooth_px: float) -> tuple[Mesh, Defects, int]:
-    """Extract a hull's surface, cleaned and smoothed; return it with the defects and the small parts removed."""
-    mesh, defects = clean(hull.mesh.vertices, hull.mesh.triangles, cameras=cameras)
+def clean_surface(raw: Mesh, cameras: list[Camera], smooth_px: float) -> tuple[Mesh, Defects, int]:
+    """Clean and smooth a hull's surface; return it with the defects and the small parts removed."""
+    mesh, defects = clean(raw.vertices, raw.triangles, cameras=cameras)
     mesh, small = without_small_parts(mesh)
     return smooth_outline_steps(mesh, cameras, most_px=smooth_px), defects, small
 
