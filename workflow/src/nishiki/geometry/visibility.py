@@ -295,9 +295,10 @@ def meet(tree, origin, direction, far, any_hit):
 def _cast(start, stop, tree, order, rays, any_hit, hits):
     (boxes, triangles), (origins, directions, far), (triangle, distance, weights) = tree, rays, hits
     stack = np.empty(64, np.int32)
-    for ray in range(start, stop):
-        o, d = origins[ray], directions[ray]
-        place, t, u, v = meet((boxes, triangles, stack), (o[0], o[1], o[2]), (d[0], d[1], d[2]), far[ray], any_hit)
+    for ray in range(start, stop):  # numbers in place of rows, whose references would be counted
+        origin = origins[ray, 0], origins[ray, 1], origins[ray, 2]
+        direction = directions[ray, 0], directions[ray, 1], directions[ray, 2]
+        place, t, u, v = meet((boxes, triangles, stack), origin, direction, far[ray], any_hit)
         triangle[ray] = order[place] if place >= 0 else -1
         distance[ray], weights[ray, 0], weights[ray, 1] = t, u, v
 
