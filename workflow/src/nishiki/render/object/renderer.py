@@ -251,7 +251,9 @@ class ObjectRenderer:
         for prepared, order, chosen, place, weights in drawn:
             for k in range(len(prepared.lamps)):
                 texels = self._texels(prepared, k, flat, chosen)
-                prepared.values[k, order] = np.einsum("kn,knc->nc", weights, texels[place])
+                prepared.values[k][order] = sum(
+                    share[:, None] * texels.take(corner, axis=0) for share, corner in zip(weights, place, strict=True)
+                )
         if self._dropped or len(flat.lent) > LENDERS:
             flat.lent.clear()
 
