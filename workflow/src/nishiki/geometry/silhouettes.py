@@ -19,9 +19,10 @@ def nearest_colour(lab, centres, inverses, lowest, out):
     for centre, inverse, least in zip(centres, inverses, lowest, strict=True):
         root = np.linalg.cholesky(inverse).astype(np.float32)
         colours, middle = lab @ root, np.float32(centre) @ root
-        scale = np.clip(colours @ middle / (middle @ middle), np.float32(least), np.float32(1))
-        colours -= scale[:, None] * middle
-        np.minimum(out, np.sqrt(np.einsum("nk,nk->n", colours, colours)), out=out)
+        if least < 1:
+            middle = np.clip(colours @ middle / (middle @ middle), np.float32(least), np.float32(1))[:, None] * middle
+        x, y, z = np.square(colours - middle).T
+        np.minimum(out, np.sqrt(x + y + z), out=out)
 
 
 BORDER = 0.06
@@ -243,29 +244,29 @@ def _move_to_half_cover(light: np.ndarray, mask: np.ndarray, reach: int) -> np.n
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
     solid = mask.astype(np.uint8)
     inner, outer = cv2.erode(solid, kernel), 1 - cv2.dilate(solid, kernel)
-    band = (inner == 0) & (outer == 0)
+    root = inner * np.sqrt(cv2.distanceTransform(solid, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
 
     def around(values: np.ndarray) -> np.ndarray:
         return cv2.GaussianBlur(values.astype(np.float32), (0, 0), 1.5 * reach)
 
-    outside = around(outer)
-    back = around(light * outer[..., None]) / np.maximum(outside, 1e-6)[..., None]
-    inside = around(inner)
-    weight = np.maximum(inside, 1e-6)
-    root = inner * np.sqrt(cv2.distanceTransform(solid, cv2.DIST_L2, cv2.DIST_MASK_PRECISE))
-    mean_root = around(root) / weight
-    variance = np.maximum(around(root * root) / weight - mean_root**2, 0) + LEAST_VARIANCE
-    mean = around(light * inner[..., None]) / weight[..., None]
-    slope = (around(light * root[..., None]) / weight[..., None] - mean_root[..., None] * mean) / variance[..., None]
-    at_rim = mean - slope * (mean_root - RIM_ROOT)[..., None]
+    inside, outside = around(inner), around(outer)
+    known = (inner == 0) & (outer == 0) & (inside > 0.03) & (outside > 0.03)
+    weight = inside[known, None]
+    back = around(light * outer[..., None])[known] / outside[known, None]
+    mean_root = around(root)[known, None] / weight
+    variance = np.maximum(around(root * root)[known, None] / weight - mean_root**2, 0) + LEAST_VARIANCE
+    mean = around(light * inner[..., None])[known] / weight
+    slope = (around(light * root[..., None])[known] / weight - mean_root * mean) / variance
+    at_rim = mean - slope * (mean_root - RIM_ROOT)
 
     across = mean - back
-    square = np.einsum("rck,rck->rc", across, across)
-    known = band & (inside > 0.03) & (outside > 0.03) & (square > 1e-4)
-    square = np.maximum(square, 1e-9)
-    darkened = np.clip(np.einsum("rck,rck->rc", at_rim - back, across) / square, DARKEST_RIM, 1)
-    cover = np.einsum("rck,rck->rc", light - back, across) / (square * darkened)
-    return np.where(known, cover > 0.5, mask)
+    square = np.einsum("nk,nk->n", across, across)
+    apart = np.maximum(square, 1e-9)
+    darkened = np.clip(np.einsum("nk,nk->n", at_rim - back, across) / apart, DARKEST_RIM, 1)
+    cover = np.einsum("nk,nk->n", light[known] - back, across) / (apart * darkened)
+    moved = mask.copy()
+    moved[known] = np.where(square > 1e-4, cover > 0.5, mask[known])
+    return moved
 
 
 def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, np.ndarray, int]:
