@@ -57,7 +57,7 @@ def row_numbers(rows: np.ndarray) -> np.ndarray:
 
 def face_vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Compute normals (f, 3) float64 of the triangles, their lengths twice the areas."""
-    first, *others = (vertices[triangles[:, k]] for k in range(3))
+    first, *others = (vertices.take(triangles[:, k], axis=0) for k in range(3))
     for other in others:
         other -= first
     return np.cross(*others)
@@ -65,12 +65,9 @@ def face_vectors(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Compute unit normals (v, 3) float32; (0, 0, 1) at vertices that no triangle of positive area uses."""
-    faces = face_vectors(vertices, triangles)
-    sums = np.zeros_like(vertices)
-    for axis in range(3):
-        sums[:, axis] = sum(
-            np.bincount(triangles[:, k], weights=faces[:, axis], minlength=len(vertices)) for k in range(3)
-        )
+    faces, sums, corners = face_vectors(vertices, triangles), np.zeros_like(vertices), triangles.T.astype(np.intp)
+    for axis, parts in enumerate(np.ascontiguousarray(faces.T)):
+        sums[:, axis] = sum(np.bincount(each, weights=parts, minlength=len(vertices)) for each in corners)
     lengths = np.linalg.norm(sums, axis=1, keepdims=True)
     return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0]).astype(np.float32)
 
