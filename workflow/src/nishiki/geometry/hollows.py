@@ -161,13 +161,15 @@ class ShadingPhotographs:
             return cv2.resize(values.astype(np.float32), size, interpolation=cv2.INTER_AREA)
 
         def to_three_channels(picture: np.ndarray) -> np.ndarray:
-            groups = np.array_split(picture, min(3, picture.shape[2]), axis=2)
-            return np.stack([shrunk(group.mean(axis=2)) for group in groups], axis=-1)
+            if picture.shape[2] > 3:
+                picture = np.stack([group.mean(axis=2) for group in np.array_split(picture, 3, axis=2)], axis=-1)
+            return shrunk(picture).reshape(*size[::-1], -1)
 
         values = np.stack([to_three_channels(picture) for picture in pictures])
         shown = np.stack([shrunk(silhouette) >= 0.5 for silhouette in silhouettes])
         bright = float(np.percentile(values[shown], 98))
-        return cls(values / np.float32(max(bright, 1e-9)), small, shown)
+        values /= np.float32(max(bright, 1e-9))
+        return cls(values, small, shown)
 
     @cached_property
     def grown(self) -> list[np.ndarray]:
