@@ -110,14 +110,15 @@ def _turns(vertex, other, place, surface):
 def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray:
     """Collapse edges until `target` triangles are left or no edge may collapse. Changes both arrays.
 
-    vertices (v, 3) float64, faces (f, 3) int64 of a surface (two triangles an edge at most). Returns alive (f,) bool.
+    vertices (v, 3) float64, faces (f, 3) int32 of a surface (two triangles an edge at most). Returns alive (f,) bool.
     """
     count, nodes = len(vertices), faces.ravel()
     ends = np.stack([nodes, np.roll(faces, -1, axis=1).ravel()], axis=1)
-    edge, uses = np.unique(ends.min(axis=1) * count + ends.max(axis=1), return_inverse=True, return_counts=True)[1:]
+    keys = ends.min(axis=1).astype(np.int64) * count + ends.max(axis=1)
+    edge, uses = np.unique(keys, return_inverse=True, return_counts=True)[1:]
     is_open = uses[edge] == 1
     edges, ends, borders = ends[(ends[:, 0] < ends[:, 1]) | is_open], ends[is_open], np.flatnonzero(is_open) // 3
-    del edge, uses
+    del keys, edge, uses
     # quadrics of the planes of all triangles, and of planes across open edges
     normals = face_vectors(vertices, faces)
     sizes = np.linalg.norm(normals, axis=1)
@@ -138,9 +139,10 @@ def collapse(vertices: np.ndarray, faces: np.ndarray, target: int) -> np.ndarray
     # the triangles at each vertex as linked lists, the last one first
     order = np.argsort(nodes, kind="stable")
     same = nodes[order[1:]] == nodes[order[:-1]]
-    head, following = np.full(count, -1), np.full(len(nodes), -1)
+    head, following = np.full(count, -1, np.int32), np.full(len(nodes), -1, np.int32)
     head[nodes[order]] = order
     following[order[1:][same]] = order[:-1][same]
+    del normals, sizes, values, blocks, kinds, planes, order, same  # the queue of edges takes the memory
     return _collapse(vertices, faces, target, quadrics, (head, following), edges)
 
 

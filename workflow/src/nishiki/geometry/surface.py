@@ -28,7 +28,7 @@ def decimate(mesh: Mesh, triangles: int) -> Mesh:
     """Reduce a mesh to about `triangles` triangles (no fewer than a collapse leaves; never more), deterministic."""
     if triangles >= len(mesh.triangles):
         return mesh
-    vertices, faces = mesh.vertices.copy(), mesh.triangles.astype(np.int64)
+    vertices, faces = mesh.vertices.copy(), mesh.triangles.copy()
     return compact(vertices, faces[collapse(vertices, faces, triangles)])
 
 
