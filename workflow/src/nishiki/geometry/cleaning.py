@@ -51,7 +51,7 @@ def clean(vertices: np.ndarray, triangles: np.ndarray, *, cameras: list[Camera] 
         raise ValueError("no triangle with an area is left")
     neighbours = find_neighbours(triangles)
     triangles, turned = turned_alike(triangles, *neighbours)
-    vertices, triangles, split = split_touching(vertices, triangles, *neighbours[:2])
+    vertices, triangles, split = split_touching(vertices, triangles, neighbours[:2])
     triangles, turned_parts = outwards(vertices, triangles, neighbours[:2], cameras or [])
     defects = Defects(merged, degenerate, duplicates, crowded_edges, crowded, split, turned, turned_parts, unreferenced)
     return compact(vertices, triangles), defects
@@ -153,15 +153,13 @@ def turned_alike(
     return out, int(flip.sum())
 
 
-def split_touching(
-    vertices: np.ndarray, triangles: np.ndarray, first: np.ndarray, second: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, int]:
+def split_touching(vertices: np.ndarray, triangles: np.ndarray, pairs: tuple) -> tuple[np.ndarray, np.ndarray, int]:
     """Give each fan its own vertex where several fans of triangles touch in one point; count new vertices."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
     # Corners of triangles are one fan where they share an edge at their vertex.
-    starts, ends = [], []
+    (first, second), starts, ends = pairs, [], []
     for k in range(3):
         for m in range(3):
             equal = triangles[first, k] == triangles[second, m]
@@ -182,14 +180,12 @@ def split_touching(
     return np.concatenate([vertices, vertices[owner[extra]]]), target[labels].reshape(-1, 3), len(extra)
 
 
-def outwards(
-    vertices: np.ndarray, triangles: np.ndarray, neighbours: tuple, cameras: list[Camera]
-) -> tuple[np.ndarray, int]:
+def outwards(vertices: np.ndarray, triangles: np.ndarray, pairs: tuple, cameras: list) -> tuple[np.ndarray, int]:
     """Turn the triangles of parts that are inside out, and count these parts."""
     parts, mine = parts_of(triangles, len(vertices))
     normals = face_vectors(vertices, triangles)
     middle = vertices[triangles].mean(axis=1)
-    shared = sum(np.bincount(each, minlength=len(triangles)) for each in neighbours)
+    shared = sum(np.bincount(each, minlength=len(triangles)) for each in pairs)
     closed = np.bincount(mine, weights=shared, minlength=parts) == 3 * np.bincount(mine, minlength=parts)
     centre = np.stack([np.bincount(mine, weights=middle[:, k], minlength=parts) for k in range(3)], axis=1)
     centre = centre / np.bincount(mine, minlength=parts)[:, None]

@@ -374,11 +374,11 @@ class Shown:
             moved = rasterise(part, camera)
             depths.append(np.minimum(moved.depth, depth))
             if view in pixels:
-                places, (triangle, weights) = pixels[view], self.sampled[view]
-                nearer = (moved.depth < depth).ravel()[places]
-                triangle = np.where(nearer, self.moving[moved.triangle.ravel()[places]], triangle[places])
-                moved_weights = moved.barycentric.reshape(-1, 2)[places]
-                sampled[view] = triangle, np.where(nearer[:, None], moved_weights, weights[places])
+                at, (triangle, weights) = pixels[view], self.sampled[view]
+                nearer = (moved.depth < depth).ravel()[at]
+                triangle = np.where(nearer, self.moving[moved.triangle.ravel()[at]], triangle[at])
+                weights = np.where(nearer[:, None], moved.barycentric.reshape(-1, 2)[at], weights[at])
+                sampled[view] = triangle, weights
         return depths, sampled
 
     def pixels_of(self, region: np.ndarray) -> dict[int, np.ndarray]:

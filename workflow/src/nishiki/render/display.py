@@ -9,6 +9,7 @@ import struct
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -44,15 +45,10 @@ def display_image(xyz: np.ndarray, *, white: np.ndarray | None = None, exposure:
 
 def encode_display(linear: np.ndarray) -> DisplayImage:
     """Encode linear sRGB (rows, columns, 3) in 8 bits."""
-    # half a step of the coding is not clipping: a perfect white is 1 to within rounding
-    high = np.count_nonzero(_in_any(linear > 1.0 + 1e-3)) / max(1, linear[..., 0].size)
-    low = np.count_nonzero(_in_any(linear < -1e-3)) / max(1, linear[..., 0].size)
-    return DisplayImage(np.floor(srgb_encode(linear) * 255 + 0.5).astype(np.uint8), high, low)
-
-
-def _in_any(marked: np.ndarray) -> np.ndarray:
-    """Combine the three channels (..., 3) bool by or: ten times as fast as `any` along so short an axis."""
-    return marked[..., 0] | marked[..., 1] | marked[..., 2]
+    # half a step of the coding is not clipping: a perfect white is 1 to within rounding; `any` is ten times slower
+    high, low = (np.count_nonzero(reduce(np.logical_or, each.T)) for each in (linear > 1.0 + 1e-3, linear < -1e-3))
+    size = max(1, linear[..., 0].size)
+    return DisplayImage(np.floor(srgb_encode(linear) * 255 + 0.5).astype(np.uint8), high / size, low / size)
 
 
 def three_channels(linear: np.ndarray) -> np.ndarray:
@@ -82,7 +78,7 @@ def develop(
     """
     values = three_channels(linear) * np.float32(exposure)
     seen = coverage > 0
-    beyond = _in_any(values > (1.0 + 1e-3) * coverage[..., None]) & seen
+    beyond = reduce(np.logical_or, (values > (1.0 + 1e-3) * coverage[..., None]).T).T & seen
     high = np.count_nonzero(beyond) / max(1, np.count_nonzero(seen))
     behind = np.float32(decode(np.asarray(background, np.float64), "srgb"))
     image = encode_display((shoulder(values) if soft else values) + behind * (1 - coverage[..., None]))

@@ -59,10 +59,9 @@ def run(context: Context) -> dict:
             )
             diagnostics["front_parts"] = parts.pixels_beside()
             hull = hull.cut(parts)
-        surface = hull.mesh
+        mesh = hull.mesh
         del hull  # frees the volume
-        mesh, defects, small = clean_surface(surface, cameras, settings.smooth)
-        del surface
+        mesh, defects, small = clean_surface(mesh, cameras, settings.smooth)
         if settings.concavities:
             context.progress.tell("hollows")
             coarse, _, _ = clean_surface(coarse.cut(parts).mesh, cameras, max(1.0, settings.smooth))
