@@ -44,6 +44,18 @@ def mix(residual: np.ndarray, visible: np.ndarray, weights: np.ndarray) -> np.nd
     return np.einsum("nm,nmc->mc", share.astype(np.float32), residual)
 
 
+BESIDE = 2  # texels
+
+
+def find_borders(shown: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """Find texels (T * T,) bool within BESIDE of both shown and hidden ones of those inside charts (T, T)."""
+    import cv2
+
+    shown, around = shown.reshape(inside.shape), np.ones((2 * BESIDE + 1, 2 * BESIDE + 1), np.uint8)
+    near = [cv2.dilate((part & inside).astype(np.uint8), around) for part in (shown, ~shown)]
+    return (near[0] & near[1]).ravel() > 0
+
+
 def extend(values: np.ndarray, covered: np.ndarray, *, rings: int, within: np.ndarray | None = None) -> np.ndarray:
     """Extrapolate values (rows, columns, channels) float32 beyond the covered pixels by `rings` pixels.
 

@@ -34,7 +34,7 @@ from nishiki.geometry.turn import camera_between, fit_turn, scale_camera
 from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.observations.views import Views, largest_value
 from nishiki.render.display import develop
-from nishiki.render.object.pixels import DepthMaps, bilinear, extend, mix
+from nishiki.render.object.pixels import DepthMaps, bilinear, extend, find_borders, mix
 from nishiki.render.object.shots import (
     LENDERS,
     DecodedTile,
@@ -51,7 +51,11 @@ from nishiki.render.object.shots import (
 from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 
-OTHER_LIGHT = np.float32(0.02)  # weight of a view in which a texel is in the light and here is not, or the other way
+UNSURE = np.float32(0.02)
+"""Weight of a view in which a texel is in the light and here is not, or the other way, and of one that shows it beside
+an edge or the border of a shadow, where a wrong surface puts the values of another place."""
+MOST_GLOSS, LEAST_WEIGHT = np.float32(0.15), np.float32(1e-3)
+"""Gloss over diffuse light at which a view lends half: what the model lacks of a highlight moves with the view."""
 MOST_PLACES, MOST_BANDS = 1 << 14, 4  # in one look-up by OpenCV, which takes fewer than 2**15 and at most 4
 FOLD_PX = 12
 """Pixels by which a picture is carried over places turned away from the camera: folds of a hull, and steps that it has
@@ -276,9 +280,12 @@ class ObjectRenderer:
 
     def _evaluate_model(self, flat: DecodedTile, chosen: np.ndarray | slice, camera: Camera, lamp) -> np.ndarray:
         """Evaluate the model (m, channels) float32 at chosen texels of a tile, encoded."""
+        return encode(sum(self._predict(flat, chosen, camera, lamp)), self.encoding)
+
+    def _predict(self, flat: DecodedTile, chosen: np.ndarray | slice, camera: Camera, lamp) -> tuple:
+        """Predict diffuse and specular radiance (m, channels) float32 at chosen texels of a tile."""
         kd, ks, sigma = (values[chosen] for values in flat.parameters)
-        diffuse, gloss = predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen], camera.centre, lamp)
-        return encode(diffuse + gloss, self.encoding)
+        return predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen], camera.centre, lamp)
 
     def _add_lent(self, coded: np.ndarray, of: tuple, flat: DecodedTile, chosen: np.ndarray, shown: Neighbours):
         """Add to the model of texels (m, channels), in its cast shadows, what views differ from it.
@@ -289,7 +296,7 @@ class ObjectRenderer:
         (lamp, light), weights = of, shown.weights.astype(np.float32)
         lit = self._find_lit(lamp, flat.positions[chosen], flat.normals[chosen])
         lent = np.stack([self._lend((int(view), light), flat)[chosen] for view in shown.views])
-        seen = lent[..., 1] * np.where(lent[..., 0] == lit, np.float32(1), OTHER_LIGHT)
+        seen = lent[..., 1] * np.where(lent[..., 0] == lit, np.float32(1), UNSURE)
         coded, mixed = coded * lit[:, None], mix(lent[..., 2:], seen, weights)
         if self.pictures is None:  # texels that no view sees were solved for too
             return coded + mixed
@@ -306,7 +313,12 @@ class ObjectRenderer:
         camera = self.cameras[view]
         lamp = self.lighting.lamp(camera, light)
         lit, seen = self._find_lit(lamp, positions, normals), self.depths.visible(positions, normals, camera)
-        model = self._evaluate_model(flat, slice(None), camera, lamp)
+        diffuse, gloss = self._predict(flat, slice(None), camera, lamp)
+        model = encode(diffuse + gloss, self.encoding)
+        ratio = lit * gloss.sum(axis=1) / np.maximum(MOST_GLOSS * diffuse.sum(axis=1), np.float32(1e-30))
+        seen *= np.maximum(1 / (1 + ratio * ratio), LEAST_WEIGHT)
+        for shown in (lit, seen):
+            seen[find_borders(shown > 0, flat.inside)] *= UNSURE
         lent = -model * lit[:, None]
         if self.pictures is None:
             lent += model
@@ -344,7 +356,7 @@ class ObjectRenderer:
                 self._cache.move_to_end(tile)
                 return self._cache[tile]
         kd, ks, sigma = (np.asarray(values, np.float32) for values in self.residual.parameters(tile))
-        positions, normals, _ = self.geometry(tile)
+        positions, normals, inside = self.geometry(tile)
         residual = None
         if not self.model_only and not self.residual.empty(tile):
             residual = self.residual.decode_coded(tile, level=self.level)
@@ -352,6 +364,7 @@ class ObjectRenderer:
             (kd.reshape(-1, self.channels), ks.reshape(-1, self.channels), sigma.reshape(-1)),
             positions.reshape(-1, 3),
             normals.reshape(-1, 3),
+            inside,
             residual,
         )
         with self._lock:

@@ -108,21 +108,23 @@ class Prepared:
 
 @dataclass(frozen=True)
 class DecodedTile:
-    """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places (T * T, 3), residual or None.
+    """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places and normals (T * T, 3), residual.
 
-    lent: by view and light, what views lend to the latest pictures, (T * T, 2 + channels) float32.
+    inside (T, T) bool: of charts. lent: by view and light, what views lend to the latest pictures, (T * T, 2 +
+    channels) float32.
     """
 
     parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
     positions: np.ndarray
     normals: np.ndarray
+    inside: np.ndarray
     residual: CodedTexels | None
     lent: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
     @property
     def nbytes(self) -> int:
         """Size of the arrays, those of `lent` of LENDERS views under one light included."""
-        arrays = (*self.parameters, self.positions, self.normals)
+        arrays = (*self.parameters, self.positions, self.normals, self.inside)
         lent = LENDERS * (self.parameters[0].nbytes + 2 * self.parameters[2].nbytes)
         return sum(values.nbytes for values in arrays) + (self.residual.nbytes if self.residual else 0) + lent
 

@@ -143,7 +143,7 @@ class ObjectLampSettings(Closed):
     )
 
 
-class ObjectRenderSettings(Guarded, stage="object_render", version=5):
+class ObjectRenderSettings(Guarded, stage="object_render", version=6):
     """Pictures of the decoded object, and a video of it turning."""
 
     views: tuple[str, ...] | int = Field(
