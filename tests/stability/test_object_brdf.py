@@ -71,7 +71,7 @@ def exact_model(kd, ks, sigma, cos_r, alpha, cos_i):
         if sigma == 0:
             lobe = mpmath.mpf(1 if alpha == 0 else 0)
         else:
-            lobe = mpmath.exp(-(mpmath.mpf(alpha) ** 2) / (2 * mpmath.mpf(sigma) ** 2))
+            lobe = (1 + (mpmath.mpf(alpha) / (2 * mpmath.mpf(sigma))) ** 2) ** -2
         specular = mpmath.mpf(ks) / max(mpmath.mpf(cos_r), mpmath.mpf(GRAZING)) * lobe
         return float(diffuse), float(specular) if cos_i > 0 and cos_r > 0 else 0.0
 
@@ -117,7 +117,7 @@ def test_the_model_at_its_limits():
 
 @case(
     "A mirror and an endless lobe",
-    hazard="0/0 and infinity/infinity in the exponent",
+    hazard="0/0 and infinity/infinity in the ratio of angle and width",
     treatment="limits taken, not divisions",
     bound=0,
     unit="wrong values of 6",

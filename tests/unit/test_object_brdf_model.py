@@ -31,12 +31,12 @@ def lamp_at(*place, form=POINT, reference=0.0):
 
 
 def slow(kd, ks, sigma, positions, normals, centre, place):
-    """Miyazaki et al. (2007), eq. 6 and 8 in float64, with the grazing limit."""
+    """Miyazaki et al. (2007), eq. 6, and eq. 8 with the lobe of Trowbridge and Reitz, in float64."""
     to_lamp, to_camera = unit(place - positions), unit(centre - positions)
     cos_i, cos_r = (np.sum(normals * v, axis=-1) for v in (to_lamp, to_camera))
     half = unit(to_lamp + to_camera)
     alpha = 2 * np.arcsin(np.clip(np.linalg.norm(normals - half, axis=-1) / 2, 0, 1))
-    lobe = np.exp(-(alpha**2) / (2 * sigma**2)) / np.maximum(cos_r, GRAZING)
+    lobe = (1 + alpha**2 / (4 * sigma**2)) ** -2 / np.maximum(cos_r, GRAZING)
     lobe = np.where((cos_i > 0) & (cos_r > 0), lobe, 0)
     return kd * np.maximum(cos_i, 0)[..., None], ks * lobe[..., None]
 
@@ -78,7 +78,7 @@ def test_known_values():
     tilted = lamp_at(np.sin(0.6), 0, np.cos(0.6), form=DISTANT)
     diffuse, specular = predict(half, fifth, np.array([0.3]), **flat, lamp=tilted)
     np.testing.assert_allclose(diffuse, 0.5 * np.cos(0.6), rtol=1e-6)
-    np.testing.assert_allclose(specular, 0.2 * np.exp(-0.5), rtol=1e-5)
+    np.testing.assert_allclose(specular, 0.2 * 0.8**2, rtol=1e-5)
     near = lamp_at(0, 0, 4.5, reference=9.0)
     np.testing.assert_allclose(predict(half, fifth, np.array([0.1]), **flat, lamp=near)[0], 2.0, rtol=1e-6)
 
@@ -133,7 +133,7 @@ def test_factors_are_what_predict_multiplies():
     irradiance, angles = factors(positions, normals, centre, lamp, 3)
     diffuse, specular = predict(kd, ks, sigma, positions, normals, centre, lamp)
     np.testing.assert_allclose(kd * irradiance, diffuse, rtol=1e-5, atol=1e-7)
-    lobe = angles[:, 0] / np.maximum(angles[:, 1], GRAZING) * np.exp(-angles[:, 2] / (2 * sigma**2))
+    lobe = angles[:, 0] / np.maximum(angles[:, 1], GRAZING) * (1 + angles[:, 2] / (4 * sigma**2)) ** -2
     np.testing.assert_allclose(ks * lobe[:, None], specular, rtol=1e-4, atol=1e-6)
 
 
@@ -319,7 +319,7 @@ def texels(rng, points=40, slots=16, sigma=0.3, noise=0.02):
     alpha = rng.uniform(0, 1, (points, slots)).astype(np.float32)
     diffuse, weights = (rng.uniform(0.3, 1, (points, slots)).astype(np.float32) for _ in range(2))
     weights[:, -3:] = 0
-    lobe = np.exp(-(alpha.astype(float) ** 2) / (2 * sigma**2))
+    lobe = (1 + alpha.astype(float) ** 2 / (4 * sigma**2)) ** -2
     kd, ks = rng.uniform(0.1, 0.8, (points, 1, 2)), np.array([0.3, 0.2])
     values = kd * diffuse[..., None] + ks * lobe[..., None] + rng.normal(0, noise, (points, slots, 2))
     rest = (diffuse, np.ones_like(alpha), alpha, weights, np.zeros((points, slots), int))
@@ -335,21 +335,21 @@ def test_profiles_add_up_to_one_least_squares_problem():
     own = np.zeros((points, slots, points))
     own[np.arange(points), :, np.arange(points)] = data.diffuse
     for place in (6, 12, 18):
-        lobe = np.exp(-0.5 * (data.alpha.astype(float) / WIDTHS[place]) ** 2).ravel()
+        lobe = (1 + (data.alpha.astype(float) / (2 * WIDTHS[place])) ** 2).ravel() ** -2
         columns = np.column_stack([lobe, own.reshape(-1, points)]) * root[:, None]
         for channel in range(2):
             values = data.values[..., channel].astype(float).ravel() * root
             found, left = np.linalg.lstsq(columns, values)[:2]
             alone = np.linalg.lstsq(columns[:, 1:], values)[1]
-            assert match[place, channel] / power[place] == pytest.approx(found[0], rel=2e-4)
-            assert match[place, channel] ** 2 / power[place] == pytest.approx((alone - left)[0], rel=2e-3)
+            assert match[place, channel] / power[place, 0] == pytest.approx(found[0], rel=1e-3)
+            assert match[place, channel] ** 2 / power[place, 0] == pytest.approx((alone - left)[0], rel=3e-3)
 
 
 @pytest.mark.parametrize("sigma", [0.05, 0.13, 0.3])
 def test_a_shared_lobe_is_found_whatever_the_texels_colours(sigma):
     data, kd, ks = texels(np.random.default_rng(4), points=400, sigma=sigma, noise=1e-4)
     columns = LobeProfile.of(data).columns.sum(axis=0, keepdims=True)
-    width, strength = LobeProfile.from_columns(columns).solve()
+    width, strength = LobeProfile.from_columns(columns, 2).solve()
     assert width[0] == pytest.approx(sigma, rel=3e-3)
     np.testing.assert_allclose(strength[0], ks, rtol=5e-3)
     gloss = lobes_of(data, np.repeat(width, 400))[..., None] * strength
@@ -359,4 +359,4 @@ def test_a_shared_lobe_is_found_whatever_the_texels_colours(sigma):
 def test_lobes_seen_from_their_tails_alone_are_not_extrapolated():
     data, _, _ = texels(np.random.default_rng(5))
     far = replace(data, alpha=data.alpha + 3)
-    assert LobeProfile.of(far).solve()[1].max() < 2
+    assert LobeProfile.of(far).solve()[1].max() < 8  # hundreds without TAIL

@@ -12,7 +12,6 @@ from unit.test_patches_charts import around, ball
 
 from nishiki.brdf.slopes import isotropic_lobe
 from nishiki.brdf.texels.model import CaptureLamps
-from nishiki.brdf.torrance_sparrow import GAMMA_PER_SIGMA
 from nishiki.stages.export import OBJECT_LIMITS as LIMITS
 from nishiki.stages.export import object as object_export
 from nishiki.stages.export.object import pitch_mm
@@ -71,7 +70,7 @@ def test_the_lobe_has_the_peak_and_the_half_width_of_ours():
     alpha = ALPHA_PER_SIGMA * sigma
     reflectance = 4 * alpha**2 * strength
     assert np.pi * reflectance * isotropic_lobe(np.array(1.0), 1.0, 1.0, alpha) == pytest.approx(strength, rel=1e-6)
-    half = np.cos(GAMMA_PER_SIGMA * sigma)
+    half = np.cos(2 * np.sqrt(np.sqrt(2) - 1) * sigma)
     assert isotropic_lobe(half, 1.0, 1.0, alpha) / isotropic_lobe(1.0, 1.0, 1.0, alpha) == pytest.approx(0.5, abs=0.01)
 
 

@@ -143,7 +143,10 @@ def bilinear(texture, y, x):
 
 
 def slow(made, camera, light, shares):
-    """(rows, columns, 3) linear and covered: pixel by pixel, float64, with shares {observation: weight} everywhere."""
+    """(rows, columns, 3) linear and covered: pixel by pixel, float64, with shares {observation: weight}.
+
+    A view lends in proportion to 1 / (1 + (gloss / 0.15 diffuse light)^2) of the model in it.
+    """
     raster = rasterise(made.mesh, camera)
     tile, s, t = made.atlas.locate(raster.triangle, raster.barycentric)
     lamp = made.lighting.lamp(camera, light)
@@ -152,8 +155,15 @@ def slow(made, camera, light, shares):
         positions, normals, _ = made.geometry(number)
         diffuse, specular = predict(*made.residual.parameters(number), positions, normals, camera.centre, lamp)
         texture = encode((diffuse + specular).astype(np.float64), made.encoding)
+        weights = []
         for observation, weight in shares.items():
-            texture = texture + weight * made.residual.whole[(observation, *made.residual.cut(number))]
+            eye = made.cameras[observation % len(ANGLES)]
+            there = predict(*made.residual.parameters(number), positions, normals, eye.centre, made.lighting.lamp(eye))
+            ratio = there[1].sum(axis=-1) / (0.15 * there[0].sum(axis=-1))
+            weights.append(weight * np.maximum(1 / (1 + ratio**2), 1e-3) if len(shares) > 1 else np.float64(1))
+        for observation, weight in zip(shares, weights, strict=True):
+            share = np.broadcast_to(weight / sum(weights), texture.shape[:2])[..., None]
+            texture = texture + share * made.residual.whole[(observation, *made.residual.cut(number))]
         textures.append(texture)
     out = np.zeros((camera.rows, camera.columns, 3))
     for place in zip(*np.nonzero(tile >= 0), strict=True):

@@ -76,8 +76,8 @@ class Texels:
         return self._marks(tile) == 1
 
     def bounds(self, tile: int) -> np.ndarray:
-        """Read where `read` has a lower bound, saturated in the photograph: (M, T, T) bool."""
-        return self._marks(tile) == 2
+        """Read the `channel_bits` that are saturated, where `read` has a lower bound: (M, T, T) uint8."""
+        return self._marks(tile) >> 1
 
     def _marks(self, tile: int) -> np.ndarray:
         return np.stack([self._read_tile("visible", tile, o) for o in range(self.observations)])

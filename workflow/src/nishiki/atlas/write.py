@@ -13,6 +13,7 @@ from nishiki.artifacts.outputs import Output, output_of
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import ATLAS, FORMAT, STORE
 from nishiki.atlas.surface import PixelPlaces, object_pixels, pixel_places, sample_view, texel_points, texel_triangles
+from nishiki.formats.stored import channel_bits
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.visibility import Raster, rasterise
@@ -153,8 +154,8 @@ class TexelsWriter:
     ) -> dict:
         """Store the pictures of one view under one light; return the counts visible and inside.
 
-        pictures (rows, columns, channels) linear by component, valid (rows, columns) bool; saturated (rows, columns)
-        bool, of pixels that are not valid: the total is a lower bound.
+        pictures (rows, columns, channels) linear by component, valid (rows, columns) bool; saturated (rows, columns,
+        channels) bool: the total is a lower bound.
         """
         places, camera = view.places, self.cameras[view.view]
         observation = light * self.views + view.view
@@ -163,9 +164,9 @@ class TexelsWriter:
         for name in self.components:
             self.group[f"pixels/values/{name}"][light, part] = pictures[name][places.row, places.column]
         held = camera.name in self.hold_out
-        known = valid if saturated is None else valid | saturated
+        known = valid if saturated is None else valid | saturated.any(axis=-1)
         usable = np.zeros_like(valid) if held else view.shown & known
-        marks = [(known & ~valid)[..., None].astype(np.float32)] if (known & ~valid).any() else []
+        marks = [] if saturated is None or not saturated.any() else [saturated.astype(np.float32)]
 
         def one(group: slice) -> int:
             results = sample_view(
@@ -178,7 +179,8 @@ class TexelsWriter:
             )
             seen = results[0].visible.astype(np.uint8)
             if marks:
-                seen += results.pop().values[..., 0] > 0
+                saturated_bits = (results.pop().values > 0) * channel_bits(self.channels)
+                seen |= np.bitwise_or.reduce(saturated_bits, axis=-1) << 1
             self.group["visible"][observation, group] = seen
             for name, sampled in zip(self.components, results, strict=True):
                 self.group[f"values/{name}"][observation, group] = sampled.values

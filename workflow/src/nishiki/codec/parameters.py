@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from nishiki.brdf.slopes import GRAZING
-from nishiki.brdf.texels.model import ViewLamp, factors, predict
+from nishiki.brdf.texels.model import ViewLamp, facet_lobe, factors, predict
 from nishiki.codec.design import Design, Extent
 from nishiki.codec.rate import quantise
 from nishiki.codec.solve import Footprints, Operator, solve
@@ -53,6 +53,10 @@ def predict_texels(
 
 
 WIDTH_FLOOR = 1e-3  # radians
+PRIOR = 0.1
+"""Weight of the fitted K_s in its refinement, in largest weights of K_d: pixels on a lobe's flank tell little of it."""
+GLOSS_WEIGHT = 0.3
+"""Least weight of a texel in the coding of K_s and sigma, in typical ones: other views show its highlight."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,7 @@ class TileMaps:
 class Factors:
     """The model apart from its parameters, in each observation."""
 
-    # (C, M, rows, columns) multiplies K_d; strength * exp(-squared_angle / (2 sigma^2)), both (M, rows, columns),
+    # (C, M, rows, columns) multiplies K_d; strength times the lobe at squared_angle, both (M, rows, columns),
     # multiplies K_s
     irradiance: np.ndarray
     strength: np.ndarray
@@ -79,7 +83,7 @@ class Factors:
 
     def lobe(self, sigma: np.ndarray) -> np.ndarray:
         """Compute the factor (M, rows, columns) of K_s."""
-        return self.strength * np.exp(self.squared_angle * (-0.5 / sigma.astype(np.float32) ** 2))
+        return self.strength * facet_lobe(self.squared_angle, sigma.astype(np.float32))
 
 
 def model_factors(channels: int, surface: TileSurface, centres, lamps: Sequence[ViewLamp]) -> Factors:
@@ -109,16 +113,18 @@ def refine(
     """Find the K_d and K_s whose picture is nearest to pixel values (C, n) in the capture's encoding.
 
     Accelerated gradient with each texel's own step; K_d, K_s stay at 0 or above. Texels that no pixel sees stay as
-    given, and so does sigma: a width that follows every pixel's noise costs more than it explains. gloss: whether K_s
-    moves. usable (n,) bool: pixels that count; None: all.
+    given, and so does sigma: a width that follows every pixel's noise costs more than it explains. K_s is held by PRIOR
+    to the given one, which follows from many texels. gloss: whether K_s moves. usable (n,) bool: pixels that count;
+    None: all.
     """
     weights, sigma = texel_weights(maps, factors, feet, encoding), np.clip(maps.sigma, WIDTH_FLOOR, np.float32(1e3))
     lobe = factors.lobe(sigma)
     by_kd, by_ks, *held = (np.moveaxis(each, -1, 0) for each in (weights.kd, weights.ks, maps.kd, maps.ks))
     body = float(by_kd.max(initial=0))
-    paces = _pace(by_kd, body), _pace(by_ks, max(body, float(by_ks.max(initial=0)))) * np.float32(gloss)
+    prior = np.float32(PRIOR * body)
+    paces = _pace(by_kd, body), _pace(by_ks, max(body, float(by_ks.max(initial=0))), prior) * np.float32(gloss)
     held = ahead = [each.astype(np.float32) for each in held]
-    momentum = 1.0
+    given, momentum = held[1], 1.0
     for _ in range(iterations):
         linear = factors.irradiance * ahead[0][:, None] + lobe[None] * ahead[1][:, None]
         left = values - feet.look_up(encode(linear, encoding))
@@ -129,6 +135,7 @@ def refine(
             back *= encoding_slope(linear, encoding)
         # the downhill directions of half the squared error of the pictures
         downhill = np.sum(back * factors.irradiance, axis=1), np.einsum("comn,omn->cmn", back, lobe)
+        downhill[1][...] -= prior * (ahead[1] - given)
         new = [np.maximum(at + pace * slope, 0) for at, pace, slope in zip(ahead, paces, downhill, strict=True)]
         following = (1 + np.sqrt(1 + 4 * momentum**2)) / 2
         ahead = [n + np.float32((momentum - 1) / following) * (n - h) for n, h in zip(new, held, strict=True)]
@@ -144,18 +151,20 @@ def texel_weights(maps: TileMaps, factors: Factors, feet: Footprints, encoding: 
     rise = encoding_slope(factors.irradiance * kd[:, None] + lobe[None] * ks[:, None], encoding) ** 2 * density[None]
     by_d = np.sum(rise * factors.irradiance**2, axis=1)
     by_s = np.sum(rise * lobe[None] ** 2, axis=1)
-    bend = lobe * factors.squared_angle / maps.sigma**2
+    ratio = factors.squared_angle / (4 * maps.sigma**2)
+    bend = lobe * 4 * ratio / (1 + ratio)
     by_w = np.sum(rise * (bend[None] * ks[:, None]) ** 2, axis=(0, 1))
     return TileMaps(np.moveaxis(by_d, 0, -1), np.moveaxis(by_s, 0, -1), by_w)
 
 
-def _pace(weight: np.ndarray, largest: float) -> np.ndarray:
+def _pace(weight: np.ndarray, largest: float, prior: float = 0.0) -> np.ndarray:
     """Compute each texel's step: half the inverse curvature (two parameters share the data), 0 where nothing is seen.
 
-    largest : curvature below a fiftieth of which a texel moves no faster. Of K_s it is not below that of K_d: where no
-    view comes near the highlight, K_s would grow by many powers of ten to explain what the model lacks.
+    prior: curvature of a prior, added. largest: curvature below a fiftieth of which a texel moves no faster. Of K_s it
+    is not below that of K_d: where no view comes near the highlight, K_s would grow by many powers of ten to explain
+    what the model lacks.
     """
-    return np.where(weight > 0, 0.5 / np.maximum(weight, max(0.02 * largest, 1e-20)), 0).astype(np.float32)
+    return np.where(weight > 0, 1 / (2 * np.maximum(weight, max(0.02 * largest, 1e-20)) + prior), 0).astype(np.float32)
 
 
 ITERATIONS = 60  # of the solver
@@ -167,7 +176,8 @@ def encode_parameters(
     """Encode cropped maps: kd, ks, log sigma (channel 0) as multiples of their steps, (C, 3, rows, columns) int32.
 
     typical: weight of a typical texel for each group; texels weigh in with their own up to that, so that what the
-    pictures do not show is filled with whatever is cheapest. threshold: in steps.
+    pictures do not show is filled with whatever is cheapest; those with a K_d by GLOSS_WEIGHT at least. threshold: in
+    steps.
     """
     out = np.zeros(design.parameter_shape(extent), np.int32)
     block = Block(design.parameter_plane(extent), np.eye(1), np.eye(1))
@@ -178,6 +188,8 @@ def encode_parameters(
         mix, mean = design.parameter_mix(group), design.parameter_mean(group)
         planes = np.tensordot(mix, values - mean[:, None, None], 1).astype(np.float32)
         share = np.clip(weight.mean(axis=-1) / usual, 0, 1) if usual > 0 else np.zeros(weight.shape[:2])
+        if group:
+            share = np.where(weights.kd.max(axis=-1) > 0, np.maximum(share, GLOSS_WEIGHT), share)
         step = design.parameter_steps[group]
         root = np.sqrt(share.astype(np.float32))[None, None]
         weigh = partial(np.multiply, root)

@@ -39,7 +39,7 @@ class LinearPictures:
         return {"diffuse": diffuse, "specular": specular, "total": total}, valid
 
     def find_saturated(self, view: int, light: int) -> np.ndarray:
-        """Find the pixels (rows, columns) bool of a photograph that are saturated in a channel."""
+        """Find the values (rows, columns, channels) bool of a photograph that are saturated."""
         return self.views.find_saturated(view, state=self.state, light=self.views.lights[light])
 
 

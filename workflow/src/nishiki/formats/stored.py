@@ -409,6 +409,11 @@ def understood(where: Path | str) -> Iterator[None]:
         ) from None
 
 
+def channel_bits(channels: int) -> np.ndarray:
+    """List the bits (channels,) uint8 by which a store marks channels; from the seventh on they share one."""
+    return (1 << np.minimum(np.arange(channels), 6)).astype(np.uint8)
+
+
 def plain(value: Any) -> Any:
     """Return a value as JSON holds it: dataclasses as dictionaries, arrays and tuples as lists."""
     if is_dataclass(value):

@@ -5,6 +5,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from nishiki.brdf.texels.model import facet_lobe
+
 
 @dataclass(frozen=True)
 class Decision:
@@ -103,7 +105,7 @@ def unseen_gain(
     level = np.sum(weights[..., None] * values, axis=(1, 2)) / np.maximum(weights.sum(axis=1), 1e-30)
     weights = weights * (level > 0)[:, None]
     with np.errstate(under="ignore"):
-        lobes = [attenuation * np.exp(-0.5 * (alpha / sigma) ** 2) for sigma in SIGMAS]
+        lobes = [attenuation * facet_lobe(alpha**2, sigma) for sigma in SIGMAS]
     inside, outside = np.zeros(len(SIGMAS) + 1), np.zeros(len(SIGMAS) + 1)
     for fold in range(FOLDS):
         seen, unseen = weights * (part != fold), weights * (part == fold)

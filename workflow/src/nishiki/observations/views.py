@@ -83,11 +83,11 @@ class Views(StoredArrays):
         return self._group["codes"][self.index(view, state=state, light=light)]
 
     def find_saturated(self, view: str | int, *, state: str | None = None, light: str | None = None) -> np.ndarray:
-        """Find the pixels (rows, columns) bool of one photograph that are saturated in a channel, without defects."""
+        """Find the values (rows, columns, channels) bool of one photograph that are saturated, without defects."""
         code = self.attributes["saturation_code"]
         if code is None:
-            return np.zeros(self.shape, bool)
-        return (self.codes(view, state=state, light=light) >= code).any(axis=-1) & (self._usable != 0)
+            return np.zeros((*self.shape, len(self.channels)), bool)
+        return (self.codes(view, state=state, light=light) >= code) & (self._usable != 0)[..., None]
 
     def board(self, state: str, *, light: str | None = None) -> np.ndarray | None:
         """Return the mean white board (rows, columns, channels) float32 of a state, in the units of `read`; or None."""
@@ -137,7 +137,7 @@ class Views(StoredArrays):
 
 
 def largest_value(views: Views) -> float | None:
-    """Compute the largest possible linear value of this capture's photographs; None for floating-point frames."""
+    """Compute the linear value at which this capture's photographs saturate; None for floating-point frames."""
     if views.dtype.kind != "u":
         return None
-    return float(views.lut.max() * views.gain.max() * max(views.attributes["scale"]))
+    return float(views.lut[views.attributes["saturation_code"]] * views.gain.max() * max(views.attributes["scale"]))

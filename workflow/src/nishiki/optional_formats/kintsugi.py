@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.stage import Context
+from nishiki.brdf.texels.model import facet_lobe
 from nishiki.colour.colour import decode, srgb_encode
 from nishiki.formats.banded_pictures import png_bytes
 from nishiki.formats.textured_surface import NORMAL_REFLECTANCE, Glb, quantise, sample
@@ -30,8 +31,8 @@ class LobeBasis:
 
     d: diffuse colour; phi: angle of normal and half vector; T_b: a table for each of eight functions and three
     channels, even steps of u from 0 to 1 (60 degrees), linear between; w_b: weights in 0 to 1; G: masking over 4 n.l
-    n.v. Our lobe K_s / n.v exp(-phi^2 / (2 sigma^2)), relative to a white that faces the lamp, is D = 4 K_s / pi
-    exp(..) without masking. The tables are such lobes of eight widths, and the weights of a texel the least squares of
+    n.v. Our lobe K_s / n.v (1 + phi^2 / (4 sigma^2))^-2, relative to a white that faces the lamp, is D = 4 K_s / pi
+    (..)^-2 without masking. The tables are such lobes of eight widths, and the weights of a texel the least squares of
     its own lobe.
     """
 
@@ -74,9 +75,9 @@ class LobeBasis:
 
 
 def lobes(widths: np.ndarray) -> np.ndarray:
-    """Compute (k, 91) exp(-phi^2 / (2 sigma^2)) at the samples of a table, of widths sigma (k,) in radians."""
+    """Compute (k, 91) (1 + phi^2 / (4 sigma^2))^-2 at the samples of a table, of widths sigma (k,) in radians."""
     phi = np.pi / 3 * np.linspace(0, 1, SAMPLES) ** 2
-    return np.exp(-(phi**2) / (2 * np.square(widths)[:, None]))
+    return facet_lobe(phi**2, widths[:, None])
 
 
 def write_kintsugi(context: Context, surface: Any) -> dict:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.brdf.slopes import GRAZING
-from nishiki.brdf.texels.model import HARMONICS, TO_LAMP_FRAME, CaptureLamps
+from nishiki.brdf.texels.model import HARMONICS, TO_LAMP_FRAME, CaptureLamps, facet_lobe
 from nishiki.brdf.texels.shading import find_lamp, measure_misfit
 from nishiki.brdf.texels.texel_fit import Sample
 from nishiki.colour.colour import encoding_slope
@@ -176,7 +176,7 @@ def fit_highlight(residuals: np.ndarray, normals: np.ndarray, to_camera: np.ndar
         apart = np.sum((normals - half) ** 2, axis=-1)  # alpha^2 but for its fourth power
         lit = (np.sum(normals * towards, axis=-1) > 0) / facing
         for sigma in SIGMAS:
-            lobe = np.exp(-apart / (2 * sigma**2)) * lit
+            lobe = facet_lobe(apart, sigma) * lit
             both = (weights * odd, weights * (1 - odd))
             gain = sum(_gain(lobe, residuals, fitted, left, before) for fitted, left in (both, both[::-1]))
             gains[k] = max(gains[k], gain)

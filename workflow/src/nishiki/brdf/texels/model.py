@@ -1,12 +1,15 @@
-"""Evaluate Lambert and the simplified Torrance-Sparrow model on a surface, under the lamps of a turntable capture.
+"""Evaluate Lambert's term and a lobe of facets on a surface, under the lamps of a turntable capture.
 
 Lamps are stated in the lamp frame of the camera: x right, y up, z from the scene to the camera, origin at the camera's
 centre.  `Lighting` is what a capture has; `ViewLamp` is one lamp seen in one view, in the object's own frame, ready for
 `nishiki.brdf.texels.model.predict`.
 
-    I_d = K_d cos(theta_i)                                 I_s = K_s / cos(theta_r) exp(-alpha^2 / (2 sigma^2))
+    I_d = K_d cos(theta_i)                              I_s = K_s / cos(theta_r) (1 + alpha^2 / (4 sigma^2))^-2
 
 theta_i, theta_r: angles of the normal with the directions to the lamp and to the camera; alpha: with their bisector.
+The model is that of Miyazaki et al. (2007, eq. 6 and 8) with the facets of Trowbridge and Reitz (Average irregularity
+representation of a rough surface for ray reflection, J. Opt. Soc. Am. 65, 1975) in place of Gaussian ones, whose lobe
+has the same peak and the same curvature there, but no tail.
 Under an environment (unknown lighting) an irradiance, a quadratic form of the normal, stands for cos(theta_i).
 
 Limits.  Both terms are 0 where the lamp or (I_s) the camera is behind the surface.  1 / cos(theta_r) is held below
@@ -138,11 +141,16 @@ def predict(
     irradiance, angles = factors(positions, normals, camera_centre, lamp, kd.shape[-1])
     strength, cos_r, alpha2 = np.moveaxis(angles, -1, 0)
     with np.errstate(all="ignore"):
-        lobe = np.where(alpha2 > 0, np.exp(-_HALF * alpha2 / (sigma * sigma)), _ONE)
+        lobe = np.where(alpha2 > 0, facet_lobe(alpha2, sigma), _ONE)
         lobe *= strength / np.maximum(cos_r, _GRAZING)
         radiances = kd * irradiance, ks * lobe[..., None]
     diffuse, specular = (np.where(np.isfinite(values), values, _ZERO) for values in radiances)
     return diffuse, specular
+
+
+def facet_lobe(squared_angle: np.ndarray, sigma: np.ndarray | float) -> np.ndarray:
+    """Compute (1 + alpha^2 / (4 sigma^2))^-2 of squared angles; sigma in radians (Trowbridge and Reitz 1975)."""
+    return 1 / np.square(1 + squared_angle / (4 * sigma * sigma))
 
 
 def factors(

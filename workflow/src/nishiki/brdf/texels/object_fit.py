@@ -25,6 +25,7 @@ FAR = 1 << 16  # cells from the world's origin: half of it is near
 DEFAULT_SIGMA = 0.2  # radians, where no highlight was seen on the whole object
 PULLS = (512.0, 64.0, 8.0, 1.0, 0.1)
 """Numbers of texels as which the neighbours may count; the first is used where too few views show the trial's tiles."""
+FIRST_PULL = 64.0  # of the lobes that saturated values are compared with
 JUDGED = 8  # approximate number of tiles in the trial
 LEAST_POWER = 0.04  # observations at a lobe's peak below which a texel's own K_s is taken to say nothing
 
@@ -43,7 +44,6 @@ class ObjectFit:
     at_bound_share: float = 0.0  # sigma at an end of WIDTHS
     median_sigma: float | None = None  # radians, of the texels with a highlight
     pull: float | None = None  # of PULLS; None without gloss
-    saturated: bool = False  # for sigma and K_s saturated values count as if they were measured
 
 
 def fit_object(
@@ -66,16 +66,12 @@ def fit_object(
     # Far from the world's origin cells are counted from a multiple of FAR cells near the first texel.
     origin = FAR * edge * np.rint(first_texel.astype(float).sum(axis=0) / (FAR * edge))
     lattice = Lattice(edge, tuple(origin.tolist()))
-    pull, use_saturated = _choose_pull(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
-
-    def read_tile(number: int) -> Tile:
-        return read(number).hide([], saturated=not use_saturated)
-
-    gloss = _Gloss.of(_gather(read_tile, tiles, capture, lattice, threads), pull)
+    pull = _choose_pull(read, tiles[:: max(len(tiles) // JUDGED, 1)], capture, lattice, threads)
+    gloss = _Gloss.of(*_gather(read, tiles, capture, lattice, threads), pull)
 
     def finish(k: int) -> tuple[np.ndarray, float, int, np.ndarray]:
-        tile = read_tile(tiles[k])
-        parameters = _fit_tile(tile, *_observe(tile, capture), gloss)
+        tile = read(tiles[k])
+        parameters = _fit_tile(tile, *_observe(tile, capture, gloss), gloss)
         write(tiles[k], parameters)
         shown = (parameters.flags & (TexelFlag.OUTSIDE | TexelFlag.NO_HIGHLIGHT)) == 0
         return _counts(parameters), *capture.squares(parameters, tile.joined), parameters.sigma[shown]
@@ -85,48 +81,39 @@ def fit_object(
     return replace(
         _totals([part[:3] for part in finished]),
         pull=pull,
-        saturated=use_saturated,
         median_sigma=float(np.median(sigmas)) if sigmas.size else None,
     )
 
 
 def _choose_pull(
     read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, threads: int
-) -> tuple[float, bool]:
+) -> float:
     """Choose the pull whose fit to two thirds of the views predicts the others best, on some tiles.
 
     Of three captured views in a row the middle one is hidden, and predicted by the model and the mean of its residuals
-    in the two others. The second choice is whether saturated values count as if they were measured: they lower a lobe,
-    but reveal one whose peak no valid value shows.
+    in the two others.
     """
-    facts = [(tile.visible.any(axis=(1, 2)), tile.saturated is not None) for tile in map(read, tiles)]
-    captured = np.flatnonzero(np.any([seen for seen, _ in facts], axis=0))
+    captured = np.flatnonzero(np.any([tile.visible.any(axis=(1, 2)) for tile in map(read, tiles)], axis=0))
     rows = list(zip(captured[::3], captured[1::3], captured[2::3], strict=False))
-    kinds = (False, True)[: 1 + any(saturated for _, saturated in facts)]
 
-    def read_tile(number: int, use_saturated: bool) -> Tile:
-        return read(number).hide([middle for _, middle, _ in rows], saturated=not use_saturated)
+    def read_some(number: int) -> Tile:
+        return read(number).hide([middle for _, middle, _ in rows])
 
-    trials = []
-    for kind in kinds:
-        around = _gather(partial(read_tile, use_saturated=kind), tiles, capture, lattice, threads)
-        trials += [(kind, _Gloss.of(around, pull)) for pull in PULLS]
+    around = _gather(read_some, tiles, capture, lattice, threads)
+    trials = [_Gloss.of(*around, pull) for pull in PULLS]
 
     def measure_errors(number: int) -> np.ndarray:
-        tile, errors = read(number).joined, np.zeros(len(trials))
-        observed = [(hidden, _observe(hidden, capture)) for hidden in (read_tile(number, kind) for kind in kinds)]
-        for place, (kind, gloss) in enumerate(trials):
-            hidden, observations = observed[kind]
+        tile, hidden, errors = read(number).joined, read_some(number), np.zeros(len(trials))
+        observations, usable = _observe(hidden, capture, trials[0]), tile.usable & tile.inside
+        for place, gloss in enumerate(trials):
             fitted = _fit_tile(hidden, *observations, gloss)
             for row in rows:
-                seen = tile.usable[list(row)].all(axis=0) & tile.inside
+                seen = usable[list(row)].all(axis=0)
                 before, here, after = (capture.subtract_prediction(fitted, tile, int(view), seen) for view in row)
                 errors[place] += np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64)
         return errors
 
-    total = sum(in_threads(measure_errors, tiles, threads), np.zeros(len(trials)))
-    use_saturated, gloss = trials[int(np.argmin(total))]
-    return gloss.pull, use_saturated
+    return PULLS[int(np.argmin(sum(in_threads(measure_errors, tiles, threads), np.zeros(len(PULLS)))))]
 
 
 def spacing(tiles: list[Tile]) -> float:
@@ -138,12 +125,15 @@ def spacing(tiles: list[Tile]) -> float:
 
 def _gather(
     read: Callable[[int], Tile], tiles: list[int], capture: CaptureViews, lattice: Lattice, threads: int
-) -> Neighbourhood:
-    """Spread the profiles of all texels over a lattice."""
+) -> tuple[Neighbourhood, int]:
+    """Spread the profiles of all texels over a lattice; return their number of channels too.
 
-    def spread_tile(number: int) -> tuple:
+    Saturated values follow in a second pass, those that exceed the lobes of the first.
+    """
+
+    def spread_tile(number: int, gloss: "_Gloss | None" = None) -> tuple:
         tile = read(number)
-        total, profile = _observe(tile, capture)
+        total, profile = _observe(tile, capture, gloss)
         # every texel of the charts counts as surface, also those that no view shows
         surface = np.flatnonzero(tile.inside)
         columns = profile.columns
@@ -151,8 +141,14 @@ def _gather(
         values[total.texel], weights[total.texel] = columns, 1
         return spread(tile.positions.reshape(-1, 3)[surface], values[surface], weights[surface], lattice)
 
-    parts = list(in_threads(spread_tile, tiles, threads))
-    return Neighbourhood(lattice, parts[0][1].shape[1] - 1 if parts else len(WIDTHS), parts)
+    def spread_all(spread_one: Callable[[int], tuple]) -> Neighbourhood:
+        parts = list(in_threads(spread_one, tiles, threads))
+        return Neighbourhood(lattice, parts[0][1].shape[1] - 1 if parts else len(WIDTHS), parts)
+
+    around, channels = spread_all(spread_tile), read(tiles[0]).values.shape[-1] if tiles else 1
+    if any(tile.saturated is not None and tile.saturated.any() for tile in map(read, tiles)):
+        around = spread_all(partial(spread_tile, gloss=_Gloss.of(around, channels, FIRST_PULL)))
+    return around, channels
 
 
 @dataclass(frozen=True)
@@ -162,19 +158,37 @@ class _Gloss:
     field: LatticeField
     pull: float
     sigma: float
+    channels: int
 
     @classmethod
-    def of(cls, around: Neighbourhood, pull: float) -> "_Gloss":
+    def of(cls, around: Neighbourhood, channels: int, pull: float) -> "_Gloss":
         mean = around.mean(np.zeros(around.size))
-        sigma = float(LobeProfile.from_columns(mean[None]).solve()[0][0]) if around.size > len(WIDTHS) else 0.0
-        return cls(around.field(pull, mean), pull, sigma or DEFAULT_SIGMA)
+        sigma = (
+            float(LobeProfile.from_columns(mean[None], channels).solve()[0][0]) if around.size > len(WIDTHS) else 0.0
+        )
+        return cls(around.field(pull, mean), pull, sigma or DEFAULT_SIGMA, channels)
+
+    def solve(self, positions: np.ndarray, own: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Find sigma (n,) and K_s (n, channels) at positions (n, 3) from the field and the columns of own profiles."""
+        columns = self.pull * self.field.at(positions).astype(np.float64) + own
+        widths, strengths = LobeProfile.from_columns(columns, self.channels).solve()
+        return np.where(widths > 0, widths, np.float32(self.sigma)), strengths
 
 
-def _observe(tile: Tile, capture: CaptureViews) -> tuple[TileSamples, LobeProfile]:
-    """Gather a tile's total radiance, and the profiles of its texels, from the specular component where it has one."""
+def _observe(tile: Tile, capture: CaptureViews, gloss: _Gloss | None) -> tuple[TileSamples, LobeProfile]:
+    """Gather a tile's total radiance, and the profiles of its texels, from the specular component where it has one.
+
+    A saturated value is a lower bound: it counts where the neighbours' lobes stay below.
+    """
     own, specular = capture.observe(tile)
     total = own if specular is None else capture.observe(tile.joined)[0]
-    return total, LobeProfile.of(own, specular)
+    if gloss is None or total.saturated is None:
+        return total, LobeProfile.of(own, specular)
+    widths, strengths = gloss.solve(tile.positions.reshape(-1, 3)[total.texel])
+    lobes = texel_fit.lobes_of(total, widths)[..., None] * strengths[:, None]
+    expected = texel_fit.lambert(total, lobes)[:, None] * total.diffuse[..., None] + lobes
+    exceeded = total.saturated & (expected >= total.values)
+    return total, LobeProfile.of(total, weights=np.where(exceeded, np.float32(0), total.weights[..., None]))
 
 
 def _fit_tile(tile: Tile, total: TileSamples, profile: LobeProfile, gloss: _Gloss) -> Parameters:
@@ -183,29 +197,27 @@ def _fit_tile(tile: Tile, total: TileSamples, profile: LobeProfile, gloss: _Glos
     surface, place = np.flatnonzero(tile.inside), np.zeros(tile.inside.size, int)
     place[surface] = np.arange(len(surface))
     here = place[total.texel]
-    columns = gloss.pull * gloss.field.at(tile.positions.reshape(-1, 3)[surface]).astype(np.float64)
-    columns[here] += profile.columns
-    widths, strengths = LobeProfile.from_columns(columns).solve()
-    widths = np.where(widths > 0, widths, np.float32(gloss.sigma))
-    lobes, sure = texel_fit.lobes_of(total, widths[here]), total.sure
+    columns = np.zeros((len(surface), profile.columns.shape[1]))
+    columns[here] = profile.columns
+    widths, strengths = gloss.solve(tile.positions.reshape(-1, 3)[surface], columns)
+    lobes = texel_fit.lobes_of(total, widths[here])
     kd, ks = (np.zeros((tile.inside.size, channels), np.float32) for _ in range(2))
     sigma, flags = np.zeros(tile.inside.size, np.float32), np.full(tile.inside.size, TexelFlag.OUTSIDE, np.uint8)
-    body = texel_fit.lambert(sure, lobes[..., None] * strengths[here][:, None])
+    body = texel_fit.lambert(total, lobes[..., None] * strengths[here][:, None])
     # Without a body (K_d would be negative) all light is the lobe's, where an observation shows the lobe.
-    alone = texel_fit.lambert(replace(sure, diffuse=lobes.astype(np.float32)))
-    shown = np.einsum("ps,ps,ps->p", sure.weights, lobes, lobes) > 0
-    capped = shown[:, None] & (body <= 0)
+    alone = texel_fit.lambert(replace(total, diffuse=lobes.astype(np.float32)))
+    capped = ((total.certain * lobes[..., None] ** 2).sum(axis=1) > 0) & (body <= 0)
     strengths[here] = np.where(capped, np.minimum(strengths[here], alone), strengths[here])
     kd[total.texel] = body
     sigma[surface], ks[surface] = widths, strengths
     flags[surface] = TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT | TexelFlag.KS_UNCONSTRAINED
     near = ((total.alpha <= widths[here, None]) & (total.weights > 0)).any(axis=1)
     nearest = np.abs(np.log(WIDTHS) - np.log(widths[here, None])).argmin(axis=1)
-    weight = total.weights.sum(axis=1) / np.maximum(total.seen, 1)
-    informed = profile.power[np.arange(len(here)), nearest] > LEAST_POWER * weight
-    told = np.where(sure.seen < 2, TexelFlag.ONCE, 0) | np.where(informed, 0, TexelFlag.KS_UNCONSTRAINED)
+    weight = total.weights.sum(axis=1) / np.maximum((total.weights > 0).sum(axis=1), 1)
+    informed = profile.power[np.arange(len(here)), nearest].max(axis=-1) > LEAST_POWER * weight
+    told = np.where(total.seen < 2, TexelFlag.ONCE, 0) | np.where(informed, 0, TexelFlag.KS_UNCONSTRAINED)
     told |= np.where(near, 0, TexelFlag.NO_HIGHLIGHT)
-    flags[total.texel] = np.where(sure.seen > 0, told, flags[total.texel])
+    flags[total.texel] = np.where(total.seen > 0, told, flags[total.texel])
     flags = flags.reshape(shape)
     known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0
     joined = np.concatenate([ks.reshape(*shape, channels), sigma.reshape(*shape, 1)], axis=-1)
@@ -249,7 +261,7 @@ def fit_lambert(
     tiles = list(tiles)
 
     def finish(number: int) -> tuple[np.ndarray, float, int]:
-        tile = read(number).hide([], saturated=True).joined
+        tile = read(number).joined
         parameters = lambert_tile(tile, capture)
         write(number, parameters)
         return _counts(parameters), *capture.squares(parameters, tile)

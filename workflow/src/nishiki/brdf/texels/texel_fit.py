@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.brdf.slopes import GRAZING
-from nishiki.brdf.texels.model import ViewLamp, factors, predict
+from nishiki.brdf.texels.model import ViewLamp, facet_lobe, factors, predict
 from nishiki.brdf.texels.parameters import Parameters
 from nishiki.colour.colour import encode, encoding_slope
+from nishiki.formats.stored import channel_bits
 
 MULTIPLE = 8  # observations a texel are padded to a multiple, with weight 0
 
@@ -26,10 +27,10 @@ class TileSamples:
     """The visible and saturated observations of a tile's observed texels; every array float32 unless noted.
 
     texel (points,) int32: row * T + column.  values (points, slots, channels).  diffuse (points, slots): what
-    multiplies K_d.  attenuation: what multiplies K_s exp(..), 0 where the lamp is behind.  alpha (points, slots):
+    multiplies K_d.  attenuation: what multiplies K_s and the lobe, 0 where the lamp is behind.  alpha (points, slots):
     radians.  weights: cos(theta_r), times the squared slope of the encoding where asked; 0 in unused slots.
-    view (points, slots) int32: which observation a slot holds, -1 none.  saturated (points, slots) bool: of which the
-    value is a lower bound.
+    view (points, slots) int32: which observation a slot holds, -1 none.  saturated (points, slots, channels) bool: of
+    which the value is a lower bound.
     """
 
     texel: np.ndarray
@@ -42,16 +43,15 @@ class TileSamples:
     saturated: np.ndarray | None = None
 
     @property
-    def sure(self) -> "TileSamples":
-        """The samples with the weight of saturated ones set to 0."""
-        if self.saturated is None:
-            return self
-        return replace(self, weights=np.where(self.saturated, np.float32(0), self.weights))
+    def certain(self) -> np.ndarray:
+        """Weights (points, slots, channels), 0 of saturated values; (points, slots, 1) where none is known to be."""
+        weights = self.weights[..., None]
+        return weights if self.saturated is None else np.where(self.saturated, np.float32(0), weights)
 
     @property
     def seen(self) -> np.ndarray:
-        """(points,) int32: usable observations of each texel, those with a weight."""
-        return (self.weights > 0).sum(axis=1, dtype=np.int32)
+        """(points,) int32: observations of each texel that are certain, in the channel that has the fewest."""
+        return (self.certain > 0).sum(axis=1, dtype=np.int32).min(axis=-1)
 
 
 def gather(
@@ -127,21 +127,20 @@ class Tile:
     normals: np.ndarray
     inside: np.ndarray  # (T, T)
     specular: np.ndarray | None = None
-    saturated: np.ndarray | None = None  # (M, T, T): not visible, but a lower bound is known; None: nowhere
+    # (M, T, T) uint8: `channel_bits` whose value is a lower bound, where the texel is not visible; None: nowhere
+    saturated: np.ndarray | None = None
 
     @property
     def usable(self) -> np.ndarray:
         """Texels that are visible or saturated, (M, T, T) bool."""
-        return self.visible if self.saturated is None else self.visible | self.saturated
+        return self.visible if self.saturated is None else self.visible | (self.saturated > 0)
 
-    def hide(self, observations: list[int], *, saturated: bool) -> "Tile":
-        """Return the tile without some observations, and without what is saturated if asked."""
-        visible = self.visible.copy()
+    def hide(self, observations: list[int]) -> "Tile":
+        """Return the tile without some observations."""
+        visible, bounds = self.visible.copy(), None if self.saturated is None else self.saturated.copy()
         visible[observations] = False
-        if saturated or self.saturated is None:
-            return replace(self, visible=visible, saturated=None)
-        bounds = self.saturated.copy()
-        bounds[observations] = False
+        if bounds is not None:
+            bounds[observations] = 0
         return replace(self, visible=visible, saturated=bounds)
 
     @property
@@ -181,14 +180,31 @@ def sample_texels(read: Callable[[int], Tile], tiles: list[int], count: int) -> 
         tile = read(number)
         seen = np.flatnonzero(tile.inside.ravel() & (tile.visible.reshape(len(tile.visible), -1).sum(axis=0) >= 3))
         picked = seen[:: max(len(seen) * len(chosen) // count, 1)]
-        total = tile.values if tile.specular is None else tile.values + tile.specular
-        flat = total.reshape(total.shape[0], -1, total.shape[-1])
         values = [tile.positions.reshape(-1, 3)[picked], tile.normals.reshape(-1, 3)[picked]]
-        values += [np.moveaxis(flat[:, picked], 1, 0), tile.visible.reshape(len(flat), -1)[:, picked].T]
-        values.append(number * tile.inside.size + picked)
+        values += [*_pick_channels(tile.joined, picked), number * tile.inside.size + picked]
         for part, value in zip(parts, values, strict=True):
             part.append(value)
     return Sample(*(np.concatenate(part) for part in parts))
+
+
+def _pick_channels(tile: Tile, picked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return values (n, M, channels) of texels and where they are known (n, M).
+
+    Where a texel is saturated in some view, the channel that is so in fewest views stands for all channels.
+    """
+
+    def of_picked(part: np.ndarray) -> np.ndarray:
+        return np.moveaxis(part.reshape(len(part), tile.inside.size, -1)[:, picked], 1, 0)
+
+    values, visible = of_picked(tile.values), of_picked(tile.visible)[..., 0]
+    if tile.saturated is None or not tile.saturated.any():
+        return values, visible
+    bounds = (of_picked(tile.saturated) & channel_bits(values.shape[-1])) > 0
+    best = bounds.sum(axis=1).argmin(axis=-1)[:, None, None]
+    several = bounds.any(axis=(1, 2))[:, None, None]
+    values = np.where(several, np.take_along_axis(values, best, axis=-1), values)
+    usable = bounds.any(axis=-1) & ~np.take_along_axis(bounds, best, axis=-1)[..., 0]
+    return values, visible | usable
 
 
 @dataclass(frozen=True)
@@ -207,7 +223,8 @@ class CaptureViews:
             found = gather(tile.values, *arguments, encoding=self.encoding)
             if tile.saturated is None:
                 return found, None
-            flags = _pick(tile.saturated[..., None], found.texel, found.view)[..., 0] > 0
+            bits = tile.saturated.reshape(len(tile.saturated), -1)[found.view, found.texel[:, None]]
+            flags = (bits[..., None] & channel_bits(tile.values.shape[-1])) * (found.view >= 0)[..., None] > 0
             return replace(found, saturated=flags), None
         bright = tile.values + tile.specular
         first, second = (
@@ -236,7 +253,8 @@ class CaptureViews:
         error = found - encode(tile.values[observation][texels], self.encoding)
         if tile.saturated is None:
             return error
-        return np.where(tile.saturated[observation][texels][..., None], np.minimum(error, 0), error)
+        flags = (tile.saturated[observation][texels][..., None] & channel_bits(error.shape[-1])) > 0
+        return np.where(flags, np.minimum(error, 0), error)
 
     def predict(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
         """Predict total radiance (..., channels) of one observation of a tile, or of texels (an index into (T, T))."""
@@ -248,60 +266,61 @@ class CaptureViews:
 
 WIDTHS = np.geomspace(0.02, 0.35, 24)
 """Radians: sigma of the lobes that are tried. Under wrong normals broader ones would stand for the body."""
-TAIL = 1e-5  # of an observation at the peak: a lobe of which less is seen is not extrapolated from its tail
+TAIL = 3e-4  # of an observation at the peak: a lobe of which less is seen is not extrapolated from its tail
 
 
 @dataclass(frozen=True)
 class LobeProfile:
     """Sums over observations from which the gain of a lobe of each of WIDTHS follows, K_d being eliminated.
 
-    With s the part of a lobe that K_d cannot explain and y the values: power (points, widths) sum w s^2, match (points,
-    widths, channels) sum w s y. Profiles of several texels add up to that of a lobe that they share, whatever their
-    K_d (G. Golub, V. Pereyra, Separable nonlinear least squares, Inverse Problems 19, 2003).
+    With s the part of a lobe that K_d cannot explain and y the values: power (points, widths, channels or 1) sum w s^2,
+    match (points, widths, channels) sum w s y. Profiles of several texels add up to that of a lobe that they share,
+    whatever their K_d (G. Golub, V. Pereyra, Separable nonlinear least squares, Inverse Problems 19, 2003).
     """
 
     power: np.ndarray
     match: np.ndarray
 
     @classmethod
-    def of(cls, total: TileSamples, specular: TileSamples | None = None) -> "LobeProfile":
-        """Sum the observations of each texel: of its specular component, where there is one, without K_d."""
+    def of(
+        cls, total: TileSamples, specular: TileSamples | None = None, weights: np.ndarray | None = None
+    ) -> "LobeProfile":
+        """Sum the observations of each texel: of its specular component, where there is one, without K_d.
+
+        weights (points, slots, channels or 1): of the values, those that are certain if None.
+        """
         data = total if specular is None else specular
-        weights, values = data.weights.astype(np.float64), data.values.astype(np.float64)
-        weighted = weights * data.diffuse
-        below = np.einsum("ps,ps->p", weighted, data.diffuse)
+        weights, values = (data.certain if weights is None else weights).astype(np.float64), data.values
+        diffuse = data.diffuse[..., None].astype(np.float64)
+        below = (weights * diffuse**2).sum(axis=1)
         seen = (below > 0) & (specular is None)
         share = np.where(seen, 1 / np.where(seen, below, 1), 0)
-        body = np.einsum("ps,psc->pc", weighted, values)
-        least = TAIL * weights.sum(axis=1) / np.maximum(data.seen, 1)
-        power, match = (np.empty((len(values), len(WIDTHS), *shape)) for shape in ((), values.shape[2:]))
-        for place, sigma in enumerate(WIDTHS):
-            lobe = lobes_of(data, np.full(len(values), sigma))
-            mixed = np.einsum("ps,ps->p", weighted, lobe) * share
-            apart = np.einsum("ps,ps,ps->p", weights, lobe, lobe)
-            power[:, place] = np.maximum(apart - mixed**2 * below, 0) + least
-            match[:, place] = np.einsum("ps,psc->pc", weights * lobe, values) - mixed[:, None] * body
-        return cls(power, match)
+        body = (weights * diffuse * values).sum(axis=1)
+        least = TAIL * weights.sum(axis=1) / np.maximum((weights > 0).sum(axis=1), 1)
+        # at once for all widths: sums over observations of each texel
+        lobes = np.stack([lobes_of(data, np.full(len(values), sigma)) for sigma in WIDTHS], axis=1)
+        mixed = lobes @ (weights * diffuse)
+        power = np.maximum(lobes**2 @ weights - mixed**2 * share[:, None], 0) + least[:, None]
+        return cls(power, lobes @ (weights * values) - mixed * (share * body)[:, None])
 
     @property
     def columns(self) -> np.ndarray:
         """The profile as (points, numbers)."""
-        count, widths, channels = self.match.shape
-        return np.column_stack([self.power, self.match.reshape(count, widths * channels)])
+        parts = (self.power, self.match)
+        return np.column_stack([part.reshape(len(part), part.shape[1] * part.shape[2]) for part in parts])
 
     @classmethod
-    def from_columns(cls, columns: np.ndarray) -> "LobeProfile":
-        """Make a profile of (points, numbers)."""
-        points, numbers = columns.shape
-        count = len(WIDTHS)
-        return cls(columns[:, :count], columns[:, count:].reshape(points, count, numbers // count - 1))
+    def from_columns(cls, columns: np.ndarray, channels: int) -> "LobeProfile":
+        """Make a profile of the `columns` of one with so many channels."""
+        parts = np.split(columns, [columns.shape[1] - channels * len(WIDTHS)], axis=1)
+        return cls(*(part.reshape(len(part), len(WIDTHS), part.shape[1] // len(WIDTHS)) for part in parts))
 
     def solve(self) -> tuple[np.ndarray, np.ndarray]:
         """Find sigma (points,) radians and K_s >= 0 (points, channels) of the lobe that explains most, float32.
 
         A parabola through the best of the widths and its neighbours is used. Both are 0 where no lobe gains.
         """
-        strength = np.maximum(self.match, 0) / np.maximum(self.power, 1e-300)[..., None]
+        strength = np.maximum(self.match, 0) / np.maximum(self.power, 1e-300)
         gain = (strength * np.maximum(self.match, 0)).sum(axis=2)
         best = np.clip(gain.argmax(axis=1), 1, len(WIDTHS) - 2)
         rows, around = np.arange(len(gain)), best[:, None] + np.array([-1, 0, 1])
@@ -318,7 +337,7 @@ class LobeProfile:
 
 def lobes_of(data: TileSamples, sigma: np.ndarray) -> np.ndarray:
     """Evaluate what multiplies K_s (points, slots) at sigma (points,)."""
-    return data.attenuation * np.exp(-0.5 * (data.alpha / sigma[:, None].astype(np.float64)) ** 2)
+    return data.attenuation * facet_lobe(data.alpha.astype(np.float64) ** 2, sigma[:, None].astype(np.float64))
 
 
 def lambert(data: TileSamples, gloss: np.ndarray | float = 0.0) -> np.ndarray:
@@ -326,7 +345,7 @@ def lambert(data: TileSamples, gloss: np.ndarray | float = 0.0) -> np.ndarray:
 
     Least squares with the samples' weights, Miyazaki et al. (2007), section 3.1.
     """
-    weighted = data.weights * data.diffuse
-    top = np.einsum("ps,psc->pc", weighted, data.values - gloss)
-    below = np.einsum("ps,ps->p", weighted, data.diffuse)[:, None]
+    weighted = data.certain * data.diffuse[..., None]
+    top = (weighted * (data.values - gloss)).sum(axis=1)
+    below = (weighted * data.diffuse[..., None]).sum(axis=1)
     return np.maximum(np.where(below > 0, top / np.where(below > 0, below, 1), 0), 0).astype(np.float32)

@@ -319,6 +319,8 @@ class ObjectRenderer:
         seen *= np.maximum(1 / (1 + ratio * ratio), LEAST_WEIGHT)
         for shown in (lit, seen):
             seen[find_borders(shown > 0, flat.inside)] *= UNSURE
+        if self.pictures is not None and self.ceiling is not None:  # the picture ends there, too
+            model = np.minimum(model, encode(np.float32(self.ceiling), self.encoding))
         lent = -model * lit[:, None]
         if self.pictures is None:
             lent += model

@@ -65,8 +65,8 @@ OBJECT_LIMITS = (
 )
 
 
-class ObjectBrdfSettings(Guarded, stage="object_brdf", version=10, limits=OBJECT_LIMITS):
-    """Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
+class ObjectBrdfSettings(Guarded, stage="object_brdf", version=11, limits=OBJECT_LIMITS):
+    """Lambert's term and a lobe of facets at every texel of an object."""
 
     lighting: Literal["auto", "camera", "fitted"] = Field(
         "auto",
@@ -104,7 +104,7 @@ OBJECT_OUTPUTS = (  # (tile, row, column[, channel])
 
 OBJECT = Stage(
     settings=ObjectBrdfSettings,
-    does="Lambert and Torrance-Sparrow parameters of every texel",
+    does="diffuse and specular parameters of every texel",
     outputs=OBJECT_OUTPUTS,
     store="parameters.zarr",
     geometry="turntable",

@@ -1,4 +1,4 @@
-"""Reflection: Lambert and the simplified Torrance-Sparrow model at every texel of an object."""
+"""Reflection: Lambert's term and a lobe of facets at every texel of an object."""
 
 import json
 from dataclasses import asdict
@@ -128,8 +128,7 @@ def reader(texels: Texels, separated: bool, hold_out: tuple[str, ...]):
         if separated:
             values, specular = texels.read("diffuse", tile), texels.read("specular", tile)
             return Tile(values, visible, positions, normals, inside, specular)
-        bounds = texels.bounds(tile) & kept[:, None, None]
-        saturated = bounds if bounds.any() else None
-        return Tile(texels.read("total", tile), visible, positions, normals, inside, saturated=saturated)
+        bounds = np.where(kept[:, None, None], texels.bounds(tile), 0)
+        return Tile(texels.read("total", tile), visible, positions, normals, inside, saturated=bounds)
 
     return read

@@ -11,7 +11,7 @@ or, in a program of your own, after mi.set_variant(...), a variant that ends in 
 A picture's value is relative to a perfect white diffuser that faces a lamp of strength 1. For unit vectors n (of the
 mesh's vertices, interpolated), l and v, and the angle a of n with the bisector of l and v:
 
-    value = K_d n.l + K_s / max(n.v, 0.05) exp(-a^2 / (2 sigma^2)),     0 where n.l <= 0; no gloss where n.v <= 0
+    value = K_d n.l + K_s / max(n.v, 0.05) (1 + a^2 / (4 sigma^2))^-2,    0 where n.l <= 0; no gloss where n.v <= 0
 
 D. Miyazaki, T. Shibata and K. Ikeuchi (2007), Wavelet-texture method: BTF compression by using Daubechies wavelet,
 parametric reflection model, and circular polarizer, eq. 6 and 8.
@@ -52,7 +52,7 @@ def define():
             half = dr.select(length > 1e-6, half / dr.maximum(length, 1e-6), mi.Vector3f(0, 0, 1))
             angle = dr.atan2(dr.norm(mi.Vector2f(half.x, half.y)), half.z)
             sigma = dr.maximum(self.sigma.eval_1(si, active), LEAST_SIGMA)
-            lobe = dr.exp(-0.5 * (angle / sigma) ** 2) / dr.maximum(si.wi.z, GRAZING)
+            lobe = dr.square(dr.rcp(1 + dr.square(0.5 * angle / sigma))) / dr.maximum(si.wi.z, GRAZING)
             lobe = dr.select(si.wi.z > 0, lobe, 0)
             body = mi.Color3f(self.kd.eval_3(si, active)) * (self.scale * wo.z)
             value = (body + mi.Color3f(self.ks.eval_3(si, active)) * lobe) / math.pi

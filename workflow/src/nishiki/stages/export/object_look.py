@@ -1,9 +1,8 @@
 """Convert an object's appearance for formats of scenes: one texture for all charts, colour, roughness and gloss.
 
-The simplified Torrance-Sparrow lobe K_s / n.v exp(-a^2 / (2 s^2)) (Miyazaki et al., 2007, eq. 8), relative to a white
-that faces the lamp, becomes the lobe of Trowbridge and Reitz with the same peak and the same width at half of it:
+The lobe K_s / n.v (1 + a^2 / (4 s^2))^-2, relative to a white that faces the lamp, is that of Trowbridge and Reitz:
 
-    alpha = s sqrt(2 ln 2) / sqrt(sqrt 2 - 1),      w F0 = 4 alpha^2 K_s
+    alpha = 2 s,      w F0 = 4 alpha^2 K_s
 
 Without a white board albedo is relative to a lamp of unknown strength and may be above 1: `lamp_strength` divides it.
 """
@@ -79,7 +78,7 @@ def fill_gaps(texture: np.ndarray, known: np.ndarray) -> np.ndarray:
     return texture[tuple(nearest)]
 
 
-ALPHA_PER_SIGMA = float(np.sqrt(2 * np.log(2) / (np.sqrt(2) - 1)))
+ALPHA_PER_SIGMA = 2.0
 PRIOR = 0.04  # squared irradiance that the model's own albedo counts as
 LEAST_ALPHA = 0.03**2  # roughness below which viewers show nothing of distant lamps
 

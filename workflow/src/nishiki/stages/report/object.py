@@ -352,8 +352,8 @@ def model_section(data: SceneData) -> PageSection:
     if aside := diagnostics.get("beside_camera_deg"):
         lighting = f"stated at the camera, found {', '.join(map(figure, aside))}° beside it"
     intro = (
-        "At every texel: diffuse reflection by Lambert's law, and a highlight by the simplified Torrance-Sparrow "
-        "model. The sheets show the charts of the surface beside each other."
+        "At every texel: diffuse reflection by Lambert's law, and a highlight by the lobe of Trowbridge and Reitz. "
+        "The sheets show the charts of the surface beside each other."
     )
     parameters = np.stack([read(tile) for tile in range(maps.tiles)])
     figures = parameter_figures(

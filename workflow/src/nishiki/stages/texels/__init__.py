@@ -38,7 +38,7 @@ LIMITS = (
 )
 
 
-class TexelsSettings(Guarded, stage="texels", version=4, limits=LIMITS):
+class TexelsSettings(Guarded, stage="texels", version=5, limits=LIMITS):
     """Charts and tiles of the surface, density of its samples, and limits of visibility."""
 
     texels_per_pixel: float = Field(
@@ -51,7 +51,10 @@ class TexelsSettings(Guarded, stage="texels", version=4, limits=LIMITS):
 OUTPUTS = (
     Output("positions", "float32", "of the capture", "place of each texel, 0 outside the surface", "tile row column 3"),
     Output("normals", "float32", "unit vector", "of the surface, 0 outside it", "tile row column 3"),
-    Output("visible", "uint8", "", "0: not seen, 1: valid, 2: saturated, a lower bound", "observation tile row column"),
+    Output(
+        "visible", "uint8", "", "0: not seen, 1: valid; 2, 4, ..: saturated channels",
+        "observation tile row column",
+    ),
     Output(
         "values/COMPONENT", "float32", "linear", "light of the texel, 0 where not seen",
         "observation tile row column channel",

@@ -232,8 +232,8 @@ void main() {
     vec3 off = normal - (square > 1e-30 ? bisector * inversesqrt(square) : vec3(0));
     float alpha2 = alphaSquared(min(0.25 * dot(off, off), 0.5));
     if (cosI > 0.0 && cosR > 0.0) {
-      float ratio = 0.5 * alpha2 / (kd.w * kd.w);
-      gloss += lampColour[n] * (ratio < 40.0 ? level / max(cosR, 0.05) * exp(-ratio) : 0.0);
+      float slope = 1.0 + alpha2 / (4.0 * kd.w * kd.w);
+      gloss += lampColour[n] * level / max(cosR, 0.05) / (slope * slope);
       if (form[n] < 2) shine += lampColour[n] * level * highlight(normal, bisector * inversesqrt(square));
     }
   }
