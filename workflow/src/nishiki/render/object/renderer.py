@@ -320,7 +320,7 @@ class ObjectRenderer:
         for shown in (lit, seen):
             seen[find_borders(shown > 0, flat.inside)] *= UNSURE
         if self.pictures is not None and self.ceiling is not None:  # the picture ends there, too
-            model = np.minimum(model, encode(np.float32(self.ceiling), self.encoding))
+            model = np.minimum(model, encode(np.array(self.ceiling, np.float32), self.encoding))
         lent = -model * lit[:, None]
         if self.pictures is None:
             lent += model
