@@ -188,7 +188,7 @@ def encode_parameters(
         mix, mean = design.parameter_mix(group), design.parameter_mean(group)
         planes = np.tensordot(mix, values - mean[:, None, None], 1).astype(np.float32)
         share = np.clip(weight.mean(axis=-1) / usual, 0, 1) if usual > 0 else np.zeros(weight.shape[:2])
-        if group:
+        if group and usual > 0:
             share = np.where(weights.kd.max(axis=-1) > 0, np.maximum(share, GLOSS_WEIGHT), share)
         step = design.parameter_steps[group]
         root = np.sqrt(share.astype(np.float32))[None, None]

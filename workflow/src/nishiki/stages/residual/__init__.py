@@ -22,7 +22,7 @@ LIMITS = (
 )
 
 
-class ResidualSettings(Guarded, stage="residual", version=17, limits=LIMITS):
+class ResidualSettings(Guarded, stage="residual", version=18, limits=LIMITS):
     """Residual of the reflection model, as wavelet coefficients."""
 
     target: Literal["bits_per_pixel", "bytes", "total_bytes", "psnr"] = Field(
