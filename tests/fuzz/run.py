@@ -17,7 +17,7 @@ sys.path[:0] = [str(PROJECT / "workflow" / "src"), str(PROJECT / "tests")]
 import atheris  # noqa: E402
 
 READERS = """
-    nishiki.capture nishiki.formats nishiki.engine.project nishiki.artifacts.closed nishiki.artifacts.artifact
+    nishiki.capture nishiki.formats nishiki.engine.project nishiki.artifacts.declaration nishiki.artifacts.artifact
     nishiki.geometry.mesh nishiki.polarisation.polariser_states
     trimesh.exchange.ply trimesh.exchange.obj
 """.split()

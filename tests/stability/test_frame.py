@@ -13,7 +13,7 @@ from stability.cases import case, worst_over
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from nishiki.artifacts.artifact import open_artifact
-from nishiki.artifacts.limits import Limit, at, check, limit_checks
+from nishiki.artifacts.declaration import Limit, at, check, limit_checks
 from nishiki.artifacts.stage import problems, run_stage
 from nishiki.errors import NotFinite
 from nishiki.formats.banded_pictures import ExrWriter

@@ -4,7 +4,7 @@ import pytest
 from pydantic import ValidationError
 from refusals import refused
 
-from nishiki.artifacts.closed import faults, parse
+from nishiki.artifacts.declaration import faults, parse
 from nishiki.engine.project import Configuration
 from nishiki.errors import UserError
 

@@ -19,7 +19,7 @@ from unit.test_cloth_render import QUAD
 from unit.test_half_vector_table import look_up, read_bsdf
 
 from nishiki.artifacts.artifact import ArtifactWriter
-from nishiki.artifacts.closed import parse
+from nishiki.artifacts.declaration import parse
 from nishiki.artifacts.stage import Context, expect_finite
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.geometry.turn import scale_camera

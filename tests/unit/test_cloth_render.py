@@ -13,7 +13,7 @@ from benchmarks.cloth_peers import Ward
 from refusals import refused
 
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
-from nishiki.artifacts.closed import parse
+from nishiki.artifacts.declaration import parse
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.store import save_brdf
 from nishiki.errors import UserError

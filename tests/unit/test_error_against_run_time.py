@@ -36,7 +36,7 @@ def test_every_default_is_on_its_front_or_the_page_says_why_not(program):
 
 
 def test_every_part_is_a_valid_sweep_of_a_shipped_file(program):
-    from nishiki.artifacts.closed import parse
+    from nishiki.artifacts.declaration import parse
     from nishiki.stages.table import CHAIN
     from nishiki.sweep.variants import SweepSettings, expand
 

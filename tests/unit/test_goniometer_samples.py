@@ -13,7 +13,7 @@ from goniometer_captures import WHITE, cloth, directions, edit_goniometer, make_
 from refusals import refused
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
-from nishiki.artifacts.closed import parse
+from nishiki.artifacts.declaration import parse
 from nishiki.artifacts.stage import Context
 from nishiki.capture.convert import convert
 from nishiki.capture.folder import load_capture

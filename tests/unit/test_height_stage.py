@@ -6,7 +6,7 @@ import numpy as np
 from pages import make_artifact
 
 from nishiki.artifacts.artifact import Artifact, ArtifactWriter
-from nishiki.artifacts.limits import check, limit_warnings
+from nishiki.artifacts.declaration import check, limit_warnings
 from nishiki.artifacts.maps import Maps
 from nishiki.artifacts.stage import Context, expect_finite
 from nishiki.progress import Progress

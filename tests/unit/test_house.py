@@ -15,8 +15,7 @@ import pytest
 import yaml
 
 import nishiki
-from nishiki.artifacts.closed import Closed
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Closed, Output
 from nishiki.artifacts.provenance import SOURCE, program_of, syntax_of
 from nishiki.engine.project import Configuration
 from nishiki.stages.table import CHAIN

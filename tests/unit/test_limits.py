@@ -5,7 +5,7 @@ import re
 import pytest
 from refusals import refused
 
-from nishiki.artifacts.limits import Limit, at, check, limit_checks, limit_warnings
+from nishiki.artifacts.declaration import Limit, at, check, limit_checks, limit_warnings
 from nishiki.report.scene_page import conditions
 from nishiki.stages.table import CHAIN, LIMITS
 

@@ -9,7 +9,7 @@ from captures import make_capture
 from nishiki.archive.audit import survey_artifact
 from nishiki.archive.pack import FolderTree
 from nishiki.artifacts.artifact import ArtifactWriter, open_artifact
-from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.declaration import Guarded
 from nishiki.artifacts.provenance import name_above, place_above
 from nishiki.artifacts.stage import run_stage
 from nishiki.capture.seal import seal

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from refusals import refused
 
-from nishiki.artifacts.limits import limit_checks, limit_warnings
+from nishiki.artifacts.declaration import limit_checks, limit_warnings
 from nishiki.capture.folder import load_capture
 from nishiki.errors import UserError
 from nishiki.observations.check import check_capture

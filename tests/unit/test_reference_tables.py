@@ -9,8 +9,8 @@ import pytest
 from refusals import expect_facts
 
 import nishiki
+from nishiki.artifacts.declaration import Output, convert_to_declared
 from nishiki.artifacts.maps import Maps, MapWriter
-from nishiki.artifacts.outputs import Output, convert_to_declared
 from nishiki.stages.table import CHAIN
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"

@@ -5,7 +5,7 @@ import pytest
 from refusals import expect_facts
 from small_painting import small_painting
 
-from nishiki.artifacts.limits import at_bounds
+from nishiki.artifacts.declaration import at_bounds
 from nishiki.artifacts.maps import Maps, MapWriter
 from nishiki.brdf.gloss_profile import GlossProfile
 from nishiki.brdf.scene import parameters_at_bounds

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from refusals import refused
 from simulated_devices import FAULTS, FaultyDome, SimulatedComXim, SimulatedDialogue, SimulatedGrbl
 
-from nishiki.artifacts.closed import parse
+from nishiki.artifacts.declaration import parse
 from nishiki.errors import UserError
 from nishiki.rig import device as lines
 from nishiki.rig.axes import ComXimSettings, ComXimTurntable, Grbl, GrblAxis, GrblSettings

@@ -2,7 +2,7 @@
 
 import pytest
 
-from nishiki.artifacts.closed import parse
+from nishiki.artifacts.declaration import parse
 from nishiki.errors import UserError
 from nishiki.stages.table import CHAIN
 from nishiki.sweep.variants import AS_CONFIGURED, SweepSettings, expand, nest_settings

@@ -11,8 +11,7 @@ DECLARATION = '''"""Declaration of the stage `brightness`."""
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at
+from nishiki.artifacts.declaration import Guarded, Limit, at
 from nishiki.stages.base import Cost, Stage
 
 LIMITS = (Limit("dark", "brightness of the object", at("brightness"), least=1e-6, remedy="expose longer", why="black"),)

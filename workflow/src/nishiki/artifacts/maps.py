@@ -21,7 +21,7 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.outputs import Output, output_of
+from nishiki.artifacts.declaration import Output, output_of
 from nishiki.artifacts.provenance import file_digest
 from nishiki.errors import UserError
 from nishiki.formats.stored import BandedArray, BandedGroup, open_group

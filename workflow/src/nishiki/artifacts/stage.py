@@ -23,8 +23,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from nishiki.artifacts.artifact import MANIFEST, Artifact, ArtifactWriter, open_artifact
-from nishiki.artifacts.closed import Guarded, parse
-from nishiki.artifacts.limits import at_bounds, check, limit_warnings
+from nishiki.artifacts.declaration import Guarded, at_bounds, check, limit_warnings, parse
 from nishiki.artifacts.maps import StagePart, TiledStage, in_order
 from nishiki.artifacts.provenance import canonical, name_above, stage_key
 from nishiki.errors import NotFinite, UserError, describe_machine_error

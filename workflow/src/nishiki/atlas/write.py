@@ -9,7 +9,7 @@ import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
 
-from nishiki.artifacts.outputs import Output, output_of
+from nishiki.artifacts.declaration import Output, output_of
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import ATLAS, FORMAT, STORE
 from nishiki.atlas.surface import PixelPlaces, object_pixels, pixel_places, sample_view, texel_points, texel_triangles

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from nishiki.artifacts.closed import merge_blocks
+from nishiki.artifacts.declaration import merge_blocks
 from nishiki.capture.layouts import photographs_in
 from nishiki.capture.lights import read_lights
 from nishiki.capture.schema import read_mapping

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.declaration import Closed
 from nishiki.capture.frames import ANGLE_COLUMNS, TABLE, BaseCapture, Frame, exposure_problems, inside
 from nishiki.capture.goniometer_tables import ReflectanceTable, in_radians, radians_problem, read_table
 from nishiki.capture.lights import SAME_DEG

@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 import yaml
 from pydantic import Field, ValidationError, field_validator
 
-from nishiki.artifacts.closed import Closed, Fault, faults
+from nishiki.artifacts.declaration import Closed, Fault, faults
 from nishiki.formats.coding import RGB
 from nishiki.formats.files import Refused, is_plain, read_text
 from nishiki.formats.problems import CaptureError, Problem, error, refuse

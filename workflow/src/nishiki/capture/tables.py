@@ -9,7 +9,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.declaration import Closed
 from nishiki.capture.schema import Positive, read_mapping, validate
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError, Problem, error, raise_errors, refuse

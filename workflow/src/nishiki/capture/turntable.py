@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.declaration import Closed
 from nishiki.capture import tables
 from nishiki.capture.frames import TABLE, BaseCapture, Frame, exposure_problems, inside, lamp_problems, state_problems
 from nishiki.capture.lights import Lights, read_lights

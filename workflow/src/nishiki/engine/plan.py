@@ -10,7 +10,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from nishiki.artifacts.closed import Closed, parse
+from nishiki.artifacts.declaration import Closed, parse
 from nishiki.artifacts.provenance import canonical, differences, key_of_text
 from nishiki.engine.project import Project, Scene, Shared, load_yaml, scene_with
 from nishiki.errors import UserError

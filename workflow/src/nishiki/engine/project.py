@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import yaml
 from pydantic import Field, create_model
 
-from nishiki.artifacts.closed import Closed, merge_blocks, parse
+from nishiki.artifacts.declaration import Closed, merge_blocks, parse
 from nishiki.artifacts.provenance import scene_of_field, truth_digest
 from nishiki.capture.folder import Capture, load_capture
 from nishiki.capture.goniometer import GoniometerCapture

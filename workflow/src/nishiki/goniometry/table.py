@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from nishiki.artifacts.outputs import Output, convert_to_declared
+from nishiki.artifacts.declaration import Output, convert_to_declared
 from nishiki.errors import UserError
 from nishiki.formats.files import read_json
 from nishiki.formats.stored import load_arrays

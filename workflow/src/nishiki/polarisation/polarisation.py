@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Output
 from nishiki.errors import UserError, require
 from nishiki.formats.stored import BandedGroup, chunk_path, open_made_by, read_chunk, write_chunk
 from nishiki.polarisation.polariser_states import StateSums

@@ -15,7 +15,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, parse
+from nishiki.artifacts.declaration import Closed, parse
 from nishiki.errors import UserError
 from nishiki.formats.files import read_text
 from nishiki.formats.picture_process import read_matlab

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 from markupsafe import Markup
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.closed import Closed
-from nishiki.artifacts.limits import Limit, at_bounds, limit_checks, limit_warnings
+from nishiki.artifacts.declaration import Closed, Limit, at_bounds, limit_checks, limit_warnings
 from nishiki.artifacts.provenance import canonical
 from nishiki.artifacts.stage import Context
 from nishiki.report import page

@@ -20,7 +20,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.declaration import Closed
 from nishiki.installation import optional
 from nishiki.rig.device import (
     DELIVERY_S,

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from nishiki.artifacts.closed import Closed, parse
+from nishiki.artifacts.declaration import Closed, parse
 from nishiki.capture.schema import UnquotedStatesLoader, read_mapping
 from nishiki.errors import UserError
 from nishiki.formats.problems import CaptureError

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, field_validator, model_validator
 
-from nishiki.artifacts.closed import Closed, parse
+from nishiki.artifacts.declaration import Closed, parse
 from nishiki.capture.lights import Lights, read_lights
 from nishiki.capture.schema import Positive
 from nishiki.errors import UserError, require

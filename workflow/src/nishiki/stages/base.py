@@ -8,9 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Guarded, Limit, Output
 from nishiki.artifacts.provenance import file_digest, module_of
 from nishiki.errors import UserError
 

@@ -1,6 +1,6 @@
 """List all stages in one table, in the order of the flow: plan, keys, rules and documentation derive from it."""
 
-from nishiki.artifacts.limits import Limit
+from nishiki.artifacts.declaration import Limit
 from nishiki.stages.base import Stage, declaration_of
 
 NAMES = (

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed
+from nishiki.artifacts.declaration import Closed
 from nishiki.errors import UserError
 
 SweepName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_-]*$")]

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from nishiki.artifacts.outputs import Output, convert_to_declared
+from nishiki.artifacts.declaration import Output, convert_to_declared
 from nishiki.errors import UserError
 from nishiki.formats.stored import load_arrays, understood
 from nishiki.goniometry.directions import unit

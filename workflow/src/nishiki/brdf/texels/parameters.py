@@ -10,7 +10,7 @@ import numpy as np
 import zarr
 from zarr.codecs import ZstdCodec
 
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Output
 from nishiki.formats.stored import open_group
 
 

@@ -5,8 +5,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at
+from nishiki.artifacts.declaration import Guarded, Limit, at
 from nishiki.stages.base import OPENCV, POSES, Cost, Stage, poses_of
 
 

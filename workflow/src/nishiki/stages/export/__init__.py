@@ -4,8 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
-from nishiki.artifacts.limits import Limit, at, extreme
+from nishiki.artifacts.declaration import Closed, Guarded, Limit, at, extreme
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, no_format, photographs_or_states
 
 Format = Literal[

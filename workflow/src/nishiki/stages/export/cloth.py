@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from nishiki.artifacts.artifact import Artifact
-from nishiki.artifacts.closed import parse
+from nishiki.artifacts.declaration import parse
 from nishiki.artifacts.stage import Context
 from nishiki.brdf.cloth.interface import halves, only_above
 from nishiki.brdf.half_vector_table import HalfVectorTable

@@ -4,9 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at, extreme, share
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Guarded, Limit, Output, at, extreme, share
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
 
 LIMITS = (

@@ -4,8 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
-from nishiki.artifacts.limits import Limit, at
+from nishiki.artifacts.declaration import Closed, Guarded, Limit, at
 from nishiki.formats.picture_files import RAW_SUFFIXES
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, only_files
 

@@ -4,8 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at, excess, extreme, share
+from nishiki.artifacts.declaration import Guarded, Limit, at, excess, extreme, share
 from nishiki.observations.turntable_coherence import DOUBTFUL, INCOHERENT
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Reason, Stage, surface_of
 

@@ -2,8 +2,7 @@
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at, share
+from nishiki.artifacts.declaration import Guarded, Limit, at, share
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
 from nishiki.stages.brdf import PAINTING_OUTPUTS
 from nishiki.stages.normals import OUTPUTS as OF_NORMALS

@@ -4,9 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at, share
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Guarded, Limit, Output, at, share
 from nishiki.photometric.flags import FEW_LIGHTS
 from nishiki.stages.base import ARRAYS, Cost, Lights, Stage, digest_of
 

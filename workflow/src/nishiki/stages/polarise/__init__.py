@@ -4,9 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at, extreme
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Guarded, Limit, Output, at, extreme
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, no_method
 
 EXCHANGED = "exchange the states off and on (or parallel and crossed angles) in the column polariser of frames.csv, "

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, PositiveFloat
 
-from nishiki.artifacts.closed import Closed, Guarded
+from nishiki.artifacts.declaration import Closed, Guarded
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, digest_of, no_film
 
 NAME = r"^[a-z0-9][a-z0-9_-]*$"

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.declaration import Guarded
 from nishiki.stages.base import OPENCV, Cost, Stage
 
 

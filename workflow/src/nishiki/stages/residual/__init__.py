@@ -4,8 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at, excess
+from nishiki.artifacts.declaration import Guarded, Limit, at, excess
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, photographs_or_states
 
 LIMITS = (

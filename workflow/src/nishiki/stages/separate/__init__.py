@@ -4,9 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at, share
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Guarded, Limit, Output, at, share
 from nishiki.stages.base import Cost, Lights, Stage, no_method
 
 LIMITS = (

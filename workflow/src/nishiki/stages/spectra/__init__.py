@@ -4,9 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Closed, Guarded
-from nishiki.artifacts.limits import Limit, at
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Closed, Guarded, Limit, Output, at
 from nishiki.stages.base import ARRAYS, Bases, Cost, SceneFacts, Stage, digest_of
 
 LIMITS = (

@@ -2,9 +2,7 @@
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, at
-from nishiki.artifacts.outputs import Output
+from nishiki.artifacts.declaration import Guarded, Limit, Output, at
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage, photographs_or_states
 
 LIMITS = (

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
+from nishiki.artifacts.declaration import Guarded
 from nishiki.stages.base import ARRAYS, OPENCV, Cost, Stage
 from nishiki.stages.render import DYES, Colour, Name, SurfaceFile, with_digest_of_mesh
 

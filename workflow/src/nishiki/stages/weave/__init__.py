@@ -4,8 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from nishiki.artifacts.closed import Guarded
-from nishiki.artifacts.limits import Limit, extreme
+from nishiki.artifacts.declaration import Guarded, Limit, extreme
 from nishiki.stages.base import OPENCV, Cost, Stage
 
 LIMITS = (
