@@ -11,7 +11,7 @@ from coded_dome import coded_dome
 
 from nishiki.geometry.camera import look_at
 from nishiki.render.display import encode_display
-from nishiki.render.object.shots import Shot, neighbours
+from nishiki.render.object.shots import Neighbours, Shot
 from nishiki.report.viewer.page import Blocks
 from nishiki.stages.render.painting import direction
 from nishiki.stages.viewer.object import write_object
@@ -161,7 +161,7 @@ def test_free_view(shown):
     view = {"eye": eye.tolist(), "target": [0, 0, 0], "up": list(up), "fov_deg": 30, "captured": None}
     position = shown.page.page.evaluate("view => nishiki.scene.cameraOf(view).position", view)
     assert 0 < position < renderer.turn.position[1]
-    lenders = neighbours(renderer.turn, position)
+    lenders = Neighbours.around(renderer.turn, position)
     check(shown, {"view": view}, renderer, Shot(camera, lenders))
 
 

@@ -10,7 +10,8 @@ from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import rotation_matrix
 from nishiki.render.display import develop, three_channels
-from nishiki.render.object.renderer import block_mean, coverage, places, reduce_blocks
+from nishiki.render.object.pixels import block_mean, coverage, reduce_blocks
+from nishiki.render.object.renderer import places
 from nishiki.stages.evaluate.object import (
     AMPLIFIED,
     DECODED,

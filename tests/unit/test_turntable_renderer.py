@@ -18,7 +18,6 @@ from nishiki.geometry.turn import rotation_matrix
 from nishiki.geometry.visibility import interpolate, rasterise
 from nishiki.render.object import renderer as module
 from nishiki.render.object.renderer import ObjectRenderer
-from nishiki.render.object.shots import lit_by
 
 SIZE, ACROSS = 9, 3  # texels of a tile, tiles across the dome
 TEXELS = (SIZE - 1) * ACROSS + 1
@@ -206,7 +205,7 @@ def test_captured_views_are_pictures_where_they_are_coded_so():
         texels = next(without.render([without.captured(1, light=light)])).linear
         np.testing.assert_array_equal(shown.linear[beyond], texels[beyond])
         assert not shown.linear[~shown.reached].any()
-    both = next(made.render([lit_by(made.captured(1), ((0, 1.0), (1, 0.5)))]))
+    both = next(made.render([made.captured(1).lit_by(((0, 1.0), (1, 0.5)))]))
     np.testing.assert_allclose(both.linear[both.reached & ~beyond], 0.5, atol=1e-6)
     np.testing.assert_array_equal(picture_of(made, 2).linear, plain.linear)
 
@@ -340,7 +339,7 @@ def test_model_alone():
 
 def test_lights_are_summed_in_linear_light():
     made = make()
-    shot = lit_by(made.captured(1), ((0, 0.5), (1, 2.0)))
+    shot = made.captured(1).lit_by(((0, 0.5), (1, 2.0)))
     picture = next(made.render([shot]))
     first, covered = slow(made, made.cameras[1], 0, {1: 1.0})
     second, _ = slow(made, made.cameras[1], 1, {len(ANGLES) + 1: 1.0})
@@ -409,7 +408,7 @@ def test_pictures_are_clipped_to_what_the_capture_could_hold():
     np.testing.assert_array_equal(tame.linear[tame.covered], np.minimum(wild.linear[wild.covered], np.float32(0.7)))
     assert 0 <= tame.linear.min()
     assert tame.linear.max() <= np.float32(0.7)
-    both = next(bound.render([lit_by(bound.captured(1), ((0, 1.0), (1, 1.0)))]))
+    both = next(bound.render([bound.captured(1).lit_by(((0, 1.0), (1, 1.0)))]))
     assert 0.7 < both.linear.max() <= np.float32(1.4)
 
 

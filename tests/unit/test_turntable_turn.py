@@ -14,7 +14,7 @@ from nishiki.geometry.turn import (
     turn_camera,
     twist,
 )
-from nishiki.render.object.shots import neighbours
+from nishiki.render.object.shots import Neighbours
 
 AXIS = np.array([0.1, 0.97, -0.2]) / np.linalg.norm([0.1, 0.97, -0.2])
 POINT = np.array([0.3, -0.2, 0.5])
@@ -120,7 +120,7 @@ def test_weights_reproduce_straight_lines():
     turn = fit_turn(circle(16), full_turn=True)
     for view in (5, 15):
         place = turn.locate(view, 0.3)
-        found = neighbours(turn, place)
+        found = Neighbours.around(turn, place)
         assert dict(zip(found.views.tolist(), found.weights, strict=True)) == pytest.approx(
             {view: 0.7, (view + 1) % 16: 0.3}
         )
@@ -128,18 +128,18 @@ def test_weights_reproduce_straight_lines():
 
 def test_neighbours_go_round_the_closed_turn_and_skip_left_out_views():
     closed = fit_turn(circle(8), full_turn=True)
-    assert set(neighbours(closed, closed.locate(7, 0.5)).views) == {7, 0}
-    found = neighbours(closed, float(closed.position[0]), without=frozenset({0}))
+    assert set(Neighbours.around(closed, closed.locate(7, 0.5)).views) == {7, 0}
+    found = Neighbours.around(closed, float(closed.position[0]), without=frozenset({0}))
     assert dict(zip(found.views.tolist(), found.weights.tolist(), strict=True)) == pytest.approx({7: 0.5, 1: 0.5})
-    exact = neighbours(closed, float(closed.position[3]))
+    exact = Neighbours.around(closed, float(closed.position[3]))
     assert exact.views.tolist() == [3]
     assert exact.weights.tolist() == [1.0]
 
 
 def test_open_paths_do_not_run_over_their_ends():
     half = fit_turn(circle(8, span=np.pi), full_turn=False)
-    found = neighbours(half, float(half.position[0]), without=frozenset({0}))
+    found = Neighbours.around(half, float(half.position[0]), without=frozenset({0}))
     assert found.views.tolist() == [1]
-    assert neighbours(half, half.locate(6, 0.5)).views.tolist() == [6, 7]
-    with refused(ValueError, by="neighbours"):
-        neighbours(half, 0.0, without=frozenset(range(8)))
+    assert Neighbours.around(half, half.locate(6, 0.5)).views.tolist() == [6, 7]
+    with refused(ValueError, by="around"):
+        Neighbours.around(half, 0.0, without=frozenset(range(8)))

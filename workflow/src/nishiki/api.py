@@ -464,12 +464,10 @@ def render_view(
     >>> bool((linear[covered] > 0).mean() > 0.9)
     True
     """
-    from nishiki.render.object.shots import lit_by
-
     number, weights = decoded.number(view), decoded.light_weights(lights or {})
     renderer = decoded.renderer()
     shot = renderer.predicted(number) if predicted else renderer.captured(number)
-    picture = next(renderer.render([lit_by(shot, weights)]))
+    picture = next(renderer.render([shot.lit_by(weights)]))
     return picture.linear, picture.covered
 
 

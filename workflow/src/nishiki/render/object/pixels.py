@@ -1,4 +1,4 @@
-"""Transfer texels to pixels: bilinear look-up, rim of the silhouette, visibility in captured views."""
+"""Transfer texels to pixels: look-up, rim of the silhouette, visibility in captured views, means of samples."""
 
 import threading
 from collections import OrderedDict
@@ -8,6 +8,7 @@ import numpy as np
 
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.turn import scale_camera
 from nishiki.geometry.visibility import rasterise
 
 
@@ -140,3 +141,35 @@ class DepthMaps:
         footprint = away / np.sqrt(abs(camera.intrinsics[0, 0] * camera.intrinsics[1, 1]))
         inside &= away <= depth[row, column] + _TOLERANCE_PX * footprint * (0.5 + slope)
         return np.where(inside, np.minimum(cosine / STEEP, 1), 0).astype(np.float32).reshape(positions.shape[:-1])
+
+
+BAND_PIXELS = 1 << 22
+
+
+def coverage(mesh: Mesh, camera: Camera, *, samples: int = 3) -> np.ndarray:
+    """Compute each pixel's part covered by the surface, (rows, columns) float32, by samples x samples points."""
+    fine = scale_camera(camera, samples)
+    out = np.empty((camera.rows, camera.columns), np.float32)
+    height = max(1, BAND_PIXELS // (fine.columns * samples))
+    for first in range(0, camera.rows, height):
+        stop = min(first + height, camera.rows)
+        shown = rasterise(mesh, fine, rows=(first * samples, stop * samples)).triangle >= 0
+        out[first:stop] = block_mean(shown[..., None].astype(np.float32), samples)[..., 0]
+    return out
+
+
+def block_mean(values: np.ndarray, size: int) -> np.ndarray:
+    """Average square blocks, (rows * size, columns * size, n) -> (rows, columns, n); incomplete blocks are cut."""
+    rows, columns = values.shape[0] // size, values.shape[1] // size
+    blocks = values[: rows * size, : columns * size].reshape(rows, size, columns, size, -1)
+    total = np.zeros((rows, columns, blocks.shape[-1]), np.float32)
+    for i, j in product(range(size), repeat=2):
+        total += blocks[:, i, :, j]
+    return total / np.float32(size * size)
+
+
+def reduce_blocks(linear: np.ndarray, covered: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """Average each block, where samples that are not covered count as black; return its covered part too."""
+    part = block_mean(covered[..., None].astype(np.float32), size)
+    sums = block_mean(np.where(covered[..., None], linear, np.float32(0)), size)
+    return sums, part[..., 0]

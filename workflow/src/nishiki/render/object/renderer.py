@@ -13,8 +13,7 @@ import json
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
-from itertools import product
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,30 +23,18 @@ from nishiki.atlas.store import Texels
 from nishiki.atlas.surface import texel_points
 from nishiki.brdf.texels.model import ENVIRONMENT, POINT, CaptureLamps, ViewLamp, predict
 from nishiki.codec.pictures import decode_picture
-from nishiki.codec.store import CodedReader, Residual
+from nishiki.codec.store import CodedReader, CodedTexels, Residual
 from nishiki.colour.colour import decode as to_linear
 from nishiki.colour.colour import encode
 from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera, load_cameras
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import camera_between, fit_turn, scale_camera
-from nishiki.geometry.visibility import interpolate, rasterise
+from nishiki.geometry.visibility import Raster, interpolate, rasterise
 from nishiki.observations.views import Views, largest_value
 from nishiki.render.display import develop
-from nishiki.render.object.pixels import DepthMaps, bilinear, extend, find_borders, mix
-from nishiki.render.object.shots import (
-    LENDERS,
-    DecodedTile,
-    FreeLighting,
-    LampsInView,
-    LitObject,
-    Neighbours,
-    ObjectPicture,
-    Prepared,
-    Shot,
-    lit_by,
-    neighbours,
-)
+from nishiki.render.object.pixels import DepthMaps, bilinear, extend, find_borders, mix, reduce_blocks
+from nishiki.render.object.shots import FreeLighting, LampsInView, LitObject, Neighbours, ObjectPicture, Shot
 from nishiki.threads import over_items
 from nishiki.threads import threads as given_threads
 
@@ -63,6 +50,7 @@ in place of a hollow's rim. No photograph shows them, and the model is black the
 BATCH_BYTES = 32 << 20  # of pictures in hand while all decoded tiles fit into the cache
 LARGE_BATCH_BYTES = 384 << 20  # once they do not: a tile is decoded again for each batch
 CACHE_BYTES = 256 << 20
+LENDERS = 3  # views that lend to pictures which follow one another
 
 
 @dataclass(frozen=True)
@@ -133,6 +121,45 @@ class DecodedObject:
         return tuple((self.lights.index(name), float(w)) for name, w in weights.items()) or ((0, 1.0),)
 
 
+@dataclass
+class Prepared:
+    """A shot whose pixels are sorted by their tiles."""
+
+    shot: Shot
+    raster: Raster
+    pixels: np.ndarray  # flat indexes of covered pixels
+    s: np.ndarray
+    t: np.ndarray
+    slots: dict[int, int]  # tile -> place in `first`
+    first: np.ndarray
+    order: np.ndarray
+    lamps: list  # of the shot's lights, as this camera has them
+    values: np.ndarray = field(init=False)  # (lights, pixels, channels): in the capture's encoding
+
+
+@dataclass(frozen=True)
+class DecodedTile:
+    """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places and normals (T * T, 3), residual.
+
+    inside (T, T) bool: of charts. lent: by view and light, what views lend to the latest pictures, (T * T, 2 +
+    channels) float32.
+    """
+
+    parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
+    positions: np.ndarray
+    normals: np.ndarray
+    inside: np.ndarray
+    residual: CodedTexels | None
+    lent: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
+
+    @property
+    def nbytes(self) -> int:
+        """Size of the arrays, those of `lent` of LENDERS views under one light included."""
+        arrays = (*self.parameters, self.positions, self.normals, self.inside)
+        lent = LENDERS * (self.parameters[0].nbytes + 2 * self.parameters[2].nbytes)
+        return sum(values.nbytes for values in arrays) + (self.residual.nbytes if self.residual else 0) + lent
+
+
 class ObjectRenderer:
     """A renderer of a decoded object.
 
@@ -189,7 +216,7 @@ class ObjectRenderer:
         return self._shot(scale(camera) if scale else camera, position, 0, self.without)
 
     def _shot(self, camera: Camera, position: float, light: int, without: frozenset[int]) -> Shot:
-        return Shot(camera, neighbours(self.turn, position, without=without), ((light, 1.0),))
+        return Shot(camera, Neighbours.around(self.turn, position, without=without), ((light, 1.0),))
 
     def render(self, shots: Iterable[Shot]) -> Iterator[ObjectPicture]:
         """Yield the pictures of the shots, in order; as many at a time as fit into the memory set aside for them."""
@@ -215,7 +242,7 @@ class ObjectRenderer:
         order = np.argsort(places[tile], kind="stable")
         slots = {int(number): k for k, number in enumerate(present)}
         if self.own_lamps:
-            shot = lit_by(shot, ((0, 1.0),))
+            shot = shot.lit_by(((0, 1.0),))
             lamps: list = [self.lit.seen_by(shot.camera)]
         else:
             lamps = [self.lighting.lamp(shot.camera, light) for light, _ in shot.lights]
@@ -271,16 +298,12 @@ class ObjectRenderer:
             kd, ks, sigma = (values[chosen] for values in flat.parameters)
             diffuse, gloss = lamp.predict(kd, ks, sigma, flat.positions[chosen], flat.normals[chosen])
             return encode(diffuse + gloss, self.encoding)
-        coded, views = self._evaluate_model(flat, chosen, shot.camera, lamp), shot.views
+        coded, views = encode(sum(self._predict(flat, chosen, shot.camera, lamp)), self.encoding), shot.views
         if not self.model_only and self._blends(shot):
             return self._add_lent(coded, (lamp, light), flat, chosen, views)
         if self.model_only or flat.residual is None:
             return coded
         return coded + flat.residual.look_up(light * len(self.cameras) + int(views.views[0]), chosen)
-
-    def _evaluate_model(self, flat: DecodedTile, chosen: np.ndarray | slice, camera: Camera, lamp) -> np.ndarray:
-        """Evaluate the model (m, channels) float32 at chosen texels of a tile, encoded."""
-        return encode(sum(self._predict(flat, chosen, camera, lamp)), self.encoding)
 
     def _predict(self, flat: DecodedTile, chosen: np.ndarray | slice, camera: Camera, lamp) -> tuple:
         """Predict diffuse and specular radiance (m, channels) float32 at chosen texels of a tile."""
@@ -419,38 +442,6 @@ class ObjectRenderer:
         return np.where(length > 1e-6, interpolated / np.where(length > 1e-6, length, 1), 0).astype(np.float32)
 
 
-BAND_PIXELS = 1 << 22
-
-
-def coverage(mesh: Mesh, camera: Camera, *, samples: int = 3) -> np.ndarray:
-    """Compute each pixel's part covered by the surface, (rows, columns) float32, by samples x samples points."""
-    fine = scale_camera(camera, samples)
-    out = np.empty((camera.rows, camera.columns), np.float32)
-    height = max(1, BAND_PIXELS // (fine.columns * samples))
-    for first in range(0, camera.rows, height):
-        stop = min(first + height, camera.rows)
-        shown = rasterise(mesh, fine, rows=(first * samples, stop * samples)).triangle >= 0
-        out[first:stop] = block_mean(shown[..., None].astype(np.float32), samples)[..., 0]
-    return out
-
-
-def block_mean(values: np.ndarray, size: int) -> np.ndarray:
-    """Average square blocks, (rows * size, columns * size, n) -> (rows, columns, n); incomplete blocks are cut."""
-    rows, columns = values.shape[0] // size, values.shape[1] // size
-    blocks = values[: rows * size, : columns * size].reshape(rows, size, columns, size, -1)
-    total = np.zeros((rows, columns, blocks.shape[-1]), np.float32)
-    for i, j in product(range(size), repeat=2):
-        total += blocks[:, i, :, j]
-    return total / np.float32(size * size)
-
-
-def reduce_blocks(linear: np.ndarray, covered: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Average each block, where samples that are not covered count as black; return its covered part too."""
-    part = block_mean(covered[..., None].astype(np.float32), size)
-    sums = block_mean(np.where(covered[..., None], linear, np.float32(0)), size)
-    return sums, part[..., 0]
-
-
 def places(views: int, frames_per_step: int, *, closed: bool) -> list[tuple[int, float]]:
     """List (view, fraction of the way to the next) of each frame: once round, or there and back in an open turn."""
     steps = views if closed else views - 1
@@ -477,7 +468,7 @@ def frames(
         return scale_camera(camera, factor)
 
     along = places(len(renderer.cameras), frames_per_step, closed=renderer.turn.closed)
-    shots = (lit_by(renderer.between(view, fraction, scale=scale), lights) for view, fraction in along)
+    shots = (renderer.between(view, fraction, scale=scale).lit_by(lights) for view, fraction in along)
     for picture in renderer.render(shots):
         linear, alpha = reduce_blocks(picture.linear, picture.covered, supersampling)
         yield develop(linear, alpha, background=background).pixels

@@ -9,17 +9,16 @@ at every texel: direction and fall-off are those of the lamp's middle, and V is 
 those of `nishiki.render.object.renderer`; a residual belongs to the light of the capture and is left out.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from nishiki.brdf.texels.model import DISTANT, HARMONICS, POINT, TO_LAMP_FRAME, ViewLamp, predict
-from nishiki.codec.store import CodedTexels
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.turn import CameraPath
-from nishiki.geometry.visibility import Raster, RayTree, cast, disc_points, make_tree
+from nishiki.geometry.visibility import RayTree, cast, disc_points, make_tree
 
 
 @dataclass(frozen=True)
@@ -29,30 +28,31 @@ class Neighbours:
     views: np.ndarray
     weights: np.ndarray
 
+    @classmethod
+    def around(cls, turn: CameraPath, position: float, *, without: frozenset[int] = frozenset()) -> "Neighbours":
+        """Return the captured views around `position` (radians along the path) and their weights.
 
-def neighbours(turn: CameraPath, position: float, *, without: frozenset[int] = frozenset()) -> Neighbours:
-    """Return the captured views around `position` (radians along the path) and their weights.
-
-    The two nearest, one to each side, by distance (Miyazaki et al. 2007, section 4.3.3); one alone at its own place and
-    beyond the ends of an open path.  without: views that may not take part (left out, or the one that is predicted).
-    """
-    usable = np.array([k for k in range(len(turn.position)) if k not in without], int)
-    if not len(usable):
-        raise ValueError("expected at least one captured view, found none")
-    offset = turn.position[usable] - position
-    if turn.closed:
-        offset = (offset + 0.5 * turn.length) % turn.length - 0.5 * turn.length
-    order = np.argsort(offset, kind="stable")
-    usable, offset = usable[order], offset[order]
-    best, first = int(np.argmin(np.abs(offset))), int(np.searchsorted(offset, 0.0))
-    beyond = first in (0, len(usable)) and not turn.closed
-    if len(usable) == 1 or beyond or np.abs(offset[best]) <= 1e-9 * max(turn.length, 1e-300):
-        return Neighbours(usable[best : best + 1], np.ones(1))
-    pair = np.array([first - 1, first]) % len(usable)
-    before, after = np.abs(offset[pair])
-    if turn.closed:  # a view across the end of the turn
-        before, after = (-offset[pair[0]]) % turn.length, offset[pair[1]] % turn.length
-    return Neighbours(usable[pair], np.array([after, before]) / (before + after))
+        The two nearest, one to each side, by distance (Miyazaki et al. 2007, section 4.3.3); one alone at its own place
+        and beyond the ends of an open path.  without: views that may not take part (left out, or the one that is
+        predicted).
+        """
+        usable = np.array([k for k in range(len(turn.position)) if k not in without], int)
+        if not len(usable):
+            raise ValueError("expected at least one captured view, found none")
+        offset = turn.position[usable] - position
+        if turn.closed:
+            offset = (offset + 0.5 * turn.length) % turn.length - 0.5 * turn.length
+        order = np.argsort(offset, kind="stable")
+        usable, offset = usable[order], offset[order]
+        best, first = int(np.argmin(np.abs(offset))), int(np.searchsorted(offset, 0.0))
+        beyond = first in (0, len(usable)) and not turn.closed
+        if len(usable) == 1 or beyond or np.abs(offset[best]) <= 1e-9 * max(turn.length, 1e-300):
+            return cls(usable[best : best + 1], np.ones(1))
+        pair = np.array([first - 1, first]) % len(usable)
+        before, after = np.abs(offset[pair])
+        if turn.closed:  # a view across the end of the turn
+            before, after = (-offset[pair[0]]) % turn.length, offset[pair[1]] % turn.length
+        return cls(usable[pair], np.array([after, before]) / (before + after))
 
 
 @dataclass(frozen=True)
@@ -66,6 +66,10 @@ class Shot:
     views: Neighbours
     lights: tuple[tuple[int, float], ...] = ((0, 1.0),)
     captured: int | None = None
+
+    def lit_by(self, lights: tuple[tuple[int, float], ...]) -> "Shot":
+        """Return the same picture under a sum of captured lights (index, L_j / L) (Miyazaki et al. 2007, eq. 13-15)."""
+        return replace(self, lights=lights)
 
 
 @dataclass(frozen=True)
@@ -85,51 +89,6 @@ class ObjectPicture:
     depth: np.ndarray
 
 
-def lit_by(shot: Shot, lights: tuple[tuple[int, float], ...]) -> Shot:
-    """Return the same picture under a sum of captured lights (index, L_j / L) (Miyazaki et al. 2007, eq. 13 to 15)."""
-    return replace(shot, lights=lights)
-
-
-@dataclass
-class Prepared:
-    """A shot whose pixels are sorted by their tiles."""
-
-    shot: Shot
-    raster: Raster
-    pixels: np.ndarray  # flat indexes of covered pixels
-    s: np.ndarray
-    t: np.ndarray
-    slots: dict[int, int]  # tile -> place in `first`
-    first: np.ndarray
-    order: np.ndarray
-    lamps: list  # of the shot's lights, as this camera has them
-    values: np.ndarray = field(init=False)  # (lights, pixels, channels): in the capture's encoding
-
-
-@dataclass(frozen=True)
-class DecodedTile:
-    """A tile, its texels in one row: kd, ks (T * T, channels), sigma (T * T,), places and normals (T * T, 3), residual.
-
-    inside (T, T) bool: of charts. lent: by view and light, what views lend to the latest pictures, (T * T, 2 +
-    channels) float32.
-    """
-
-    parameters: tuple[np.ndarray, np.ndarray, np.ndarray]
-    positions: np.ndarray
-    normals: np.ndarray
-    inside: np.ndarray
-    residual: CodedTexels | None
-    lent: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
-
-    @property
-    def nbytes(self) -> int:
-        """Size of the arrays, those of `lent` of LENDERS views under one light included."""
-        arrays = (*self.parameters, self.positions, self.normals, self.inside)
-        lent = LENDERS * (self.parameters[0].nbytes + 2 * self.parameters[2].nbytes)
-        return sum(values.nbytes for values in arrays) + (self.residual.nbytes if self.residual else 0) + lent
-
-
-LENDERS = 3  # views that lend to pictures which follow one another
 LIFT = 0.25
 """Offset of rays above the surface, in median edges of the mesh. Normals are smooth and triangles flat: without it
 triangles that lie a little turned away from the lamp would be in their neighbours' shadow. What is smaller than an edge

@@ -13,8 +13,8 @@ from nishiki.evaluate.object_photographs import ObjectTruth, Photographs
 from nishiki.evaluate.tables import planned_truth, write_tables
 from nishiki.geometry.mesh import Mesh
 from nishiki.render.display import develop, three_channels, write_png
-from nishiki.render.object.pixels import extend
-from nishiki.render.object.renderer import DecodedObject, block_mean
+from nishiki.render.object.pixels import block_mean, extend
+from nishiki.render.object.renderer import DecodedObject
 from nishiki.render.object.shots import ObjectPicture
 
 

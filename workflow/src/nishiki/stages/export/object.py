@@ -25,7 +25,8 @@ from nishiki.geometry.camera import NO_DISTORTION, Camera
 from nishiki.geometry.mesh import Mesh
 from nishiki.optional_formats.kintsugi import write_kintsugi
 from nishiki.render.display import develop, normals_as_colours, three_channels
-from nishiki.render.object.renderer import DecodedObject, ObjectRenderer, coverage
+from nishiki.render.object.pixels import coverage
+from nishiki.render.object.renderer import DecodedObject, ObjectRenderer
 from nishiki.render.object.shots import ObjectPicture
 from nishiki.stages.export import mitsuba_object
 from nishiki.stages.export.iiif import QUALITY, canvas, image, manifest_of, tiles_psnr_db, write_manifest

@@ -4,17 +4,10 @@ import numpy as np
 
 from nishiki.artifacts.stage import Context
 from nishiki.errors import UserError
-from nishiki.render.display import (
-    develop,
-    three_channels,
-    write_exr,
-    write_normals_exr,
-    write_normals_png,
-    write_png,
-    write_video,
-)
-from nishiki.render.object.renderer import DecodedObject, ObjectRenderer, coverage, frames
-from nishiki.render.object.shots import FreeLamp, FreeLighting, ObjectPicture, Shot, lit_by
+from nishiki.render import display
+from nishiki.render.object.pixels import coverage
+from nishiki.render.object.renderer import DecodedObject, ObjectRenderer, frames
+from nishiki.render.object.shots import FreeLamp, FreeLighting, ObjectPicture, Shot
 from nishiki.stages.render import ObjectRenderSettings
 
 
@@ -26,7 +19,7 @@ def run(context: Context) -> dict:
     renderer = decoded.renderer(without=without, level=settings.level, own_lamps=own_lamps(settings))
     lights = decoded.light_weights(settings.lights)
     named = stills(decoded, renderer, settings)
-    shots = [lit_by(shot, lights) for _, shot in named]
+    shots = [shot.lit_by(lights) for _, shot in named]
     reports = {}
     pictures = context.progress.through(renderer.render(shots), len(shots), "picture")
     for (name, shot), picture in zip(named, pictures, strict=True):
@@ -102,15 +95,15 @@ def save(context: Context, renderer: ObjectRenderer, name: str, shot: Shot, pict
     """Write linear EXR with alpha, 8-bit PNG, and normals and depth where requested."""
     settings, stamp = context.settings, context.stamp
     alpha = np.where(picture.reached, coverage(renderer.mesh, shot.camera), 0).astype(np.float32)
-    linear = three_channels(picture.linear)
+    linear = display.three_channels(picture.linear)
     path = context.output.path
-    write_exr(path(f"{name}.exr"), linear, stamp=stamp, colours="srgb", coverage=alpha)
-    image = develop(linear * alpha[..., None], alpha, background=settings.background)
-    write_png(path(f"{name}.png"), image.pixels, stamp=stamp)
+    display.write_exr(path(f"{name}.exr"), linear, stamp=stamp, colours="srgb", coverage=alpha)
+    image = display.develop(linear * alpha[..., None], alpha, background=settings.background)
+    display.write_png(path(f"{name}.png"), image.pixels, stamp=stamp)
     if settings.export_normals:
         normals = renderer.normals(picture, shot.camera)
-        write_normals_png(path(f"{name}-normals.png"), normals, stamp=stamp)
-        write_normals_exr(path(f"{name}-normals.exr"), normals, stamp=stamp)
+        display.write_normals_png(path(f"{name}-normals.png"), normals, stamp=stamp)
+        display.write_normals_exr(path(f"{name}-normals.exr"), normals, stamp=stamp)
         np.save(path(f"{name}-depth.npy"), np.where(picture.covered, picture.depth, np.float32(0)))
     return {
         "pixels": int(np.count_nonzero(picture.covered)),
@@ -132,6 +125,7 @@ def film(context: Context, renderer: ObjectRenderer, lights: tuple[tuple[int, fl
         lights=lights,
         background=settings.background,
     )
-    per_second = settings.film.frames_per_second
-    written = write_video(context.output.path("turn.mp4"), made, frames_per_second=per_second, stamp=context.stamp)
+    written = display.write_video(
+        context.output.path("turn.mp4"), made, frames_per_second=settings.film.frames_per_second, stamp=context.stamp
+    )
     return {"frames": written.frames, "file": written.path.name}, [written.note] if written.note else []
