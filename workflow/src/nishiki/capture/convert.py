@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from nishiki.capture import layout_writers, turntable_layouts
+from nishiki.capture import layout_writers, photogrammetry, turntable_layouts
 from nishiki.capture.layouts import (
     DIRECTIONS,
     RELIGHTABLE,
@@ -26,14 +26,6 @@ from nishiki.capture.layouts import (
 )
 from nishiki.capture.mosaic import COLUMNS, NAME, TABLE, FieldRow, is_capture, is_mosaic, read_fields, within
 from nishiki.capture.options import ConvertOptions, file_problems, folder_problems
-from nishiki.capture.photogrammetry import (
-    HEAD,
-    read_bundler,
-    read_meshroom,
-    read_metashape,
-    read_transforms,
-    transforms_file,
-)
 from nishiki.capture.registered import PictureIndex, Registration, colmap_folder, read_colmap
 from nishiki.capture.relightable import RelightableRendering, read_relightable, recognise_relightable, write_rendering
 from nishiki.capture.rti_projects import find_rti_project
@@ -93,7 +85,7 @@ def file_of_cameras(suffix: str, *marks: bytes, name: str = "", places: tuple[st
             found = []
             for path in files_with(folder, (suffix,)):
                 with path.open("rb") as stream:
-                    head = stream.read(HEAD)
+                    head = stream.read(photogrammetry.HEAD)
                 found += [path] if all(mark in head for mark in marks) else []
             named = [path for path in found if path.name == name] or found
             remedy = f"Keep the one of these photographs{f', or call it {name}' if name else ''}"
@@ -106,10 +98,14 @@ def file_of_cameras(suffix: str, *marks: bytes, name: str = "", places: tuple[st
 
 CAMERAS: tuple[tuple[str, Callable[[Path], Path | None], Callable[[Path, PictureIndex], Registration]], ...] = (
     ("COLMAP", colmap_folder, read_colmap),
-    ("Meshroom", file_of_cameras(".sfm", name="cameras.sfm"), read_meshroom),
-    ("transforms.json", transforms_file, read_transforms),
-    ("Metashape", file_of_cameras(".xml", b"<chunk", b"<sensors"), read_metashape),
-    ("Bundler", file_of_cameras(".out", b"# Bundle file", name="bundle.out", places=(".", "bundle")), read_bundler),
+    ("Meshroom", file_of_cameras(".sfm", name="cameras.sfm"), photogrammetry.read_meshroom),
+    ("transforms.json", photogrammetry.transforms_file, photogrammetry.read_transforms),
+    ("Metashape", file_of_cameras(".xml", b"<chunk", b"<sensors"), photogrammetry.read_metashape),
+    (
+        "Bundler",
+        file_of_cameras(".out", b"# Bundle file", name="bundle.out", places=(".", "bundle")),
+        photogrammetry.read_bundler,
+    ),
 )
 """Camera formats of other programs: name, function that finds file or folder, function that reads it."""
 

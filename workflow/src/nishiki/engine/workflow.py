@@ -8,15 +8,8 @@ from functools import cache
 from itertools import islice
 from pathlib import Path
 
+from nishiki.artifacts import provenance
 from nishiki.artifacts.artifact import MANIFEST
-from nishiki.artifacts.provenance import (
-    canonical,
-    code_digest,
-    library_version,
-    place_above,
-    program_of,
-    scene_of_field,
-)
 from nishiki.engine import plan as planning
 from nishiki.engine.project import CONFIGURATION, SWEEPS, Scene, load_project, scene_facts, scene_with_exports
 from nishiki.errors import UserError, describe_machine_error, require, unknown_scene
@@ -124,7 +117,7 @@ class Scheduling:
         """Count the long stages on the longest way from the capture to a stage."""
         levels = [0]
         for name, above in self.stage(scene, stage, key).upstream.items():
-            of, upstream = place_above(scene, name)
+            of, upstream = provenance.place_above(scene, name)
             if upstream in CHAIN:  # the fields of a mosaic are jobs of their own
                 levels.append(self._level(of, upstream, above) + (of != scene or self._is_long(of, upstream)))
         return max(levels)
@@ -239,7 +232,7 @@ class Workflow(Scheduling):
         if formats := self.project.configuration.exports.get(name):
             scene = scene_with_exports(scene, facts.geometry, formats)
         return planning.make_plan(
-            scene, facts, {field: self.plans[scene_of_field(name, field)] for field in facts.fields}
+            scene, facts, {field: self.plans[provenance.scene_of_field(name, field)] for field in facts.fields}
         )
 
     def can_be_planned(self, scene: str) -> bool:
@@ -294,7 +287,7 @@ class Workflow(Scheduling):
     def above(self, scene: str, planned: planning.PlannedStage) -> dict[str, str]:
         """Map the names under which a stage of a scene reads artifacts to their manifests."""
         return {
-            name: self.path(*place_above(scene, name), key)
+            name: self.path(*provenance.place_above(scene, name), key)
             for name, key in planned.upstream.items()
             if name != "capture"
         }
@@ -311,15 +304,17 @@ class Workflow(Scheduling):
     @cache  # noqa: B019  one Workflow a process
     def code(self, stage: str) -> str:
         """Return the digest of a stage's code."""
-        return code_digest(program_of(stage))
+        return provenance.code_digest(provenance.program_of(stage))
 
     def libraries(self, scene: str, stage: str, key: str) -> str:
         """Return the versions of the libraries that a stage loads in this scene."""
-        return canonical({name: library_version(name) for name in self.stage(scene, stage, key).packages})
+        return provenance.canonical(
+            {name: provenance.library_version(name) for name in self.stage(scene, stage, key).packages}
+        )
 
     def stages_text(self, scene: str) -> str:
         """Write the stages and keys of a scene as canonical JSON."""
-        return canonical({name: planned.key for name, planned in self.plans[scene].stages.items()})
+        return provenance.canonical({name: planned.key for name, planned in self.plans[scene].stages.items()})
 
     def sweep_path(self, name: str) -> str:
         """Return the path of a file of the sweep's results."""
@@ -358,7 +353,7 @@ class Workflow(Scheduling):
             swept.scene: [[variant.names, self.evaluation(swept, variant)] for variant in swept.variants]
             for swept in self.sweep.scenes
         }
-        return canonical({"settings": self.sweep.settings.model_dump(mode="json"), "variants": variants})
+        return provenance.canonical({"settings": self.sweep.settings.model_dump(mode="json"), "variants": variants})
 
 
 def _no_option(path: Path) -> str:

@@ -16,15 +16,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.errors import UserError
+from nishiki.photometric import light_selection
 from nishiki.photometric.flags import COPLANAR, NO_ESTIMATE, NormalFlag
-from nishiki.photometric.light_selection import (
-    VALUES,
-    checked_stack,
-    checked_valid,
-    direction_products,
-    distinct_sets,
-    half_vectors,
-)
 from nishiki.progress import Summarised
 from nishiki.threads import over_rows, strips
 
@@ -170,7 +163,7 @@ def estimate_normals(
         options = {"solver": solver, "max_condition": max_condition, "noise": noise}
         samples = {"usable": usable, "weights": weights, "valid": valid}
         return _near_field(np.asarray(observations), np.asarray(directions), samples, options)
-    stack, directions = checked_stack(observations, directions)
+    stack, directions = light_selection.checked_stack(observations, directions)
     shape = np.shape(observations)
     factors = sample_weights(stack, both(usable, valid), weights, shape)
     outputs = lambertian(stack, directions, factors, max_condition)
@@ -178,7 +171,7 @@ def estimate_normals(
     if solver == "lobe":
         if weights is not None:
             raise UserError("normals: the solver 'lobe' takes no weights; use 'least_squares', or leave samples out")
-        known = factors if valid is None else checked_valid(stack, valid, shape).view(np.uint8)
+        known = factors if valid is None else light_selection.checked_valid(stack, valid, shape).view(np.uint8)
         if valid is not None and factors.shape == stack.shape:
             factors = replace_distrusted(stack, directions, factors, known, outputs, max_condition)
         shading = refine_lobe(stack, directions, factors, known, outputs, noise, max_condition)
@@ -241,7 +234,9 @@ def refine_lobe(stack, directions, usable, known, outputs, noise, max_condition)
     from nishiki.photometric.normal_kernels import refine
 
     # (6, lights): directions to the lights, and half vectors of light and view
-    vectors = np.ascontiguousarray(np.hstack([directions, half_vectors(directions)]).T, dtype=np.float32)
+    vectors = np.ascontiguousarray(
+        np.hstack([directions, light_selection.half_vectors(directions)]).T, dtype=np.float32
+    )
     shading = np.tile(np.array(LAMBERT, np.float32), (stack.shape[1], 1))
     samples = Samples(stack, usable, known)
     over_rows(refine, stack.shape[1], samples, vectors, float(noise), float(max_condition), outputs, shading)
@@ -261,7 +256,7 @@ def lambertian(stack, directions, factors, max_condition) -> Estimates:
         np.empty(pixels, dtype=np.uint8),
     )
     factors = np.ascontiguousarray(np.broadcast_to(factors, stack.shape))
-    blocks, products = -(-pixels // BLOCK), direction_products(directions)
+    blocks, products = -(-pixels // BLOCK), light_selection.direction_products(directions)
     over_rows(solve_weighted, blocks, stack, factors, products, float(max_condition), outputs)
     return outputs
 
@@ -290,7 +285,7 @@ def both(usable, valid):
 
 def sample_weights(stack, usable, weights, shape):
     """Mask and weights combined: uint8 0 or 1 (lights, pixels), or (lights, 1) for all alike, or float32."""
-    usable = checked_valid(stack, usable, shape)
+    usable = light_selection.checked_valid(stack, usable, shape)
     if weights is None:
         return usable.view(np.uint8)
     weights = np.asarray(weights, dtype=np.float32)
@@ -320,11 +315,11 @@ def find_distrusted(stack, directions, usable, known, outputs):
     normals, scalars, _, flags = outputs
     fitted = (flags & (NormalFlag.TOO_FEW_LIGHTS | NormalFlag.NO_SIGNAL)) == 0
     suspects = np.flatnonzero((scalars[2] > SUSPECT) & fitted)
-    halves, found = half_vectors(directions), []
-    for part in strips(len(suspects), VALUES // len(stack)):
+    halves, found = light_selection.half_vectors(directions), []
+    for part in strips(len(suspects), light_selection.VALUES // len(stack)):
         here = suspects[part]
         valid, condition = known[:, here] > 0, scalars[2, here].astype(np.float64)
-        first, member = distinct_sets(valid)
+        first, member = light_selection.distinct_sets(valid)
         least = condition_of(valid[:, first], directions)[member]
         distrust = condition > WORSE * least
         between = np.flatnonzero((condition > SOMEWHAT * least) & ~distrust)

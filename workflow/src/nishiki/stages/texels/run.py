@@ -5,15 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from nishiki.artifacts.stage import Context
+from nishiki.atlas import quality
 from nishiki.atlas.atlas import Atlas, build_atlas
 from nishiki.atlas.charts import Charts, make_charts, probe_spacing, turning
-from nishiki.atlas.quality import (
-    atlas_picture,
-    sampling_density,
-    stretch_percentiles,
-    texels_per_pixel,
-    texels_per_unit,
-)
 from nishiki.atlas.write import Source, TexelsWriter
 from nishiki.errors import UserError
 from nishiki.evaluate.object_photographs import LinearPictures
@@ -57,7 +51,7 @@ def run(context: Context) -> dict:
         silhouette = None if silhouettes is None else silhouettes[index] != 0
         view = writer.view(index, silhouette)
         facts["pixels"] += len(view.places.row)
-        shares.append(texels_per_pixel(mesh, atlas, cameras[index], view.raster.triangle[view.shown]))
+        shares.append(quality.texels_per_pixel(mesh, atlas, cameras[index], view.raster.triangle[view.shown]))
         if silhouette is not None:
             facts["silhouette"] += int(silhouette.sum())
             facts["uncovered"] += int((silhouette & (view.raster.triangle < 0)).sum())
@@ -97,8 +91,8 @@ def lay_out(mesh: Mesh, cameras: list[Camera], settings: TexelsSettings) -> tupl
     charts = make_charts(
         mesh, up=up, front=front, spacing=probe_spacing(mesh, cameras, texels_per_pixel=settings.texels_per_pixel)
     )
-    density = sampling_density(mesh, charts.plane, cameras)
-    scale = texels_per_unit(density, charts.plane, charts.chart, texels_per_pixel=settings.texels_per_pixel)
+    density = quality.sampling_density(mesh, charts.plane, cameras)
+    scale = quality.texels_per_unit(density, charts.plane, charts.chart, texels_per_pixel=settings.texels_per_pixel)
     return charts, build_atlas(charts.plane, charts.chart, scale, size=settings.tile)
 
 
@@ -106,7 +100,7 @@ def write_preview(path: Path, atlas: Atlas, texels: np.ndarray, encoding: str) -
     """Write the mean colour of every texel, chart by chart; grey where no observation covers it."""
     import cv2
 
-    picture = atlas_picture(atlas, texels)
+    picture = quality.atlas_picture(atlas, texels)
     known = np.isfinite(picture).all(axis=2)
     top = np.percentile(picture[known], 99.5) if known.any() and encoding == "linear" else 1.0
     shown = np.clip(encode(np.nan_to_num(picture) / max(float(top), 1e-12), "srgb"), 0, 1)
@@ -117,7 +111,7 @@ def write_preview(path: Path, atlas: Atlas, texels: np.ndarray, encoding: str) -
 
 def describe_texels(mesh: Mesh, charts: Charts, atlas: Atlas, writer: TexelsWriter, facts: dict) -> dict:
     """Return diagnostics."""
-    stretch = stretch_percentiles(mesh, atlas)
+    stretch = quality.stretch_percentiles(mesh, atlas)
     per_pixel = [value for value in facts["per_pixel"] if value is not None]
     return {
         "charts": len(charts.frames.direction),
