@@ -100,11 +100,6 @@ class Shading:
     curve: np.ndarray = field(default_factory=CURVE.copy)
     gloss: np.ndarray = field(default_factory=lambda: np.zeros(len(LOBES)))
 
-    def compute_slope(self, cosine: np.ndarray) -> np.ndarray:
-        """Compute the derivative of D."""
-        steps = np.diff(self.curve) / np.diff(CURVE)
-        return steps[np.clip((cosine * len(steps)).astype(int), 0, len(steps) - 1)]
-
 
 @dataclass(frozen=True)
 class ShadingFit:
@@ -132,7 +127,10 @@ def fit_shading(
     unit = float(np.median(seen.scale)) if counted.size else 1.0
     for _ in range(ROUNDS):
         diffuse, trust = (near @ shading.curve) * lit, weights * robust
-        kd = _fit_colours(seen, diffuse, lobes @ shading.gloss, trust, len(normals))
+        # K_d of each texel by weighted least squares; 0 where nothing is lit
+        above = np.bincount(seen.texel, trust * diffuse * (seen.values - lobes @ shading.gloss), len(normals))
+        below = np.bincount(seen.texel, trust * diffuse**2, len(normals))
+        kd = np.maximum(above / np.where(below > 0, below, np.inf), 0)
         if not held:
             columns = (
                 np.concatenate([near * (kd[seen.texel] * lit)[:, None], unit * lobes], axis=1) / seen.scale[:, None]
@@ -274,7 +272,9 @@ def _compute_pull(seen: ShadedTexels, normals: np.ndarray, shading: Shading) -> 
     )
     cos_r = np.maximum(_dot(normals[seen.texel], seen.facing), GRAZING)
     slope = np.where(alpha > 1e-6, alpha / np.maximum(np.sin(alpha), 1e-6), 1)
-    bend = (fit.kd[seen.texel] * shading.compute_slope(cosine) * lit)[:, None] * to_lamp
+    steps = np.diff(shading.curve) / np.diff(CURVE)  # the derivative of D, between knots
+    steepness = steps[np.clip((cosine * len(steps)).astype(int), 0, len(steps) - 1)]
+    bend = (fit.kd[seen.texel] * steepness * lit)[:, None] * to_lamp
     bend += (lobes @ (shading.gloss / LOBES**2) * slope)[:, None] * to_half
     bend -= (lobes @ shading.gloss / cos_r)[:, None] * to_camera
     bend, own = bend / seen.scale[:, None], np.interp(cosine, CURVE, shading.curve) * lit / seen.scale
@@ -290,13 +290,6 @@ def _compute_pull(seen: ShadedTexels, normals: np.ndarray, shading: Shading) -> 
     information = np.moveaxis(np.array(products), -1, 0) - along[:, :, None] * along[:, None] * share[:, None, None]
     pull = np.stack([total(bend[:, k] * fit.deviation) for k in range(2)], axis=1) - along * (rest * share)[:, None]
     return information, pull
-
-
-def _fit_colours(seen: ShadedTexels, lit: np.ndarray, gloss: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
-    """Compute K_d (count,) of each texel by weighted least squares; 0 where nothing is lit."""
-    above = np.bincount(seen.texel, weights * lit * (seen.values - gloss), count)
-    below = np.bincount(seen.texel, weights * lit**2, count)
-    return np.maximum(above / np.where(below > 0, below, np.inf), 0)
 
 
 def _interpolation(mesh: Mesh, positions: np.ndarray, triangles: np.ndarray) -> "sparse.csr_matrix":
