@@ -18,7 +18,7 @@ from nishiki.brdf.texels.model import CaptureLamps
 from nishiki.brdf.texels.parameters import ParameterMaps
 from nishiki.codec.allocate import principal_channels
 from nishiki.codec.design import arc_views, extent_of, view_matrix
-from nishiki.codec.parameters import TileSurface, predict_texels
+from nishiki.codec.tile_code import TileSurface, predict_texels
 from nishiki.codec.transform import Block, plane_transform
 from nishiki.colour.colour import encode
 

@@ -4,8 +4,7 @@ import numpy as np
 from turned_sphere import camera_of
 
 from nishiki.brdf.texels.model import CaptureLamps
-from nishiki.codec.parameters import TileMaps, TileSurface
-from nishiki.codec.tile_code import CodedScene, Pixels
+from nishiki.codec.tile_code import CodedScene, Pixels, TileMaps, TileSurface
 from nishiki.colour.colour import encode
 from nishiki.geometry.camera import Camera
 

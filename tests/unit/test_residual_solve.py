@@ -6,8 +6,8 @@ from texel_domain import keep_by_pursuit, keep_largest, largest, masked_operator
 
 from nishiki.codec.allocate import principal_channels
 from nishiki.codec.design import extent_of, view_matrix
-from nishiki.codec.parameters import TileMaps, TileSurface, model_factors, predict_texels, refine, texel_weights
 from nishiki.codec.solve import Footprints, Operator, samples_of, solve
+from nishiki.codec.tile_code import TileMaps, TileSurface, model_factors, predict_texels, refine, texel_weights
 from nishiki.codec.transform import Block, plane_transform
 from nishiki.colour.colour import encoding_slope
 

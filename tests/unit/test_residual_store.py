@@ -11,10 +11,9 @@ from turned_sphere import tiles_of_sphere
 
 from nishiki.codec.allocate import EncodedObject, Pilot, find_step, one_pass, over, pilot, point_of, psnr, slope_of
 from nishiki.codec.design import Design
-from nishiki.codec.parameters import predict_texels
 from nishiki.codec.solve import Footprints, Pursuit
 from nishiki.codec.store import STORE, Residual, frame_bytes, pack_object, unpack_head, write_residual
-from nishiki.codec.tile_code import Effort, Pixels, Typical, decode_residual
+from nishiki.codec.tile_code import Effort, Pixels, Typical, decode_residual, predict_texels
 from nishiki.errors import UserError
 from nishiki.stages.residual import ResidualSettings
 from nishiki.stages.residual.run import goal_of

@@ -13,13 +13,14 @@ import numpy as np
 
 from nishiki.codec.design import Design, Extent
 from nishiki.codec.entropy import CodedBlock, Model, encode, pack, train
-from nishiki.codec.parameters import TileMaps, TileSurface
 from nishiki.codec.tile_code import (
     CodedScene,
     CodedTile,
     Effort,
     Pixels,
     Refined,
+    TileMaps,
+    TileSurface,
     Typical,
     encode_tile,
     model_of,

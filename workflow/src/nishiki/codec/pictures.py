@@ -12,9 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.codec.allocate import EncodedObject
-from nishiki.codec.parameters import TileMaps, TileSurface
 from nishiki.codec.store import CodedReader, inflate
-from nishiki.codec.tile_code import Pixels
+from nishiki.codec.tile_code import Pixels, TileMaps, TileSurface
 
 SIDE = 512  # pixels
 

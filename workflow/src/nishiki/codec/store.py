@@ -20,8 +20,7 @@ from zarr.codecs import Crc32cCodec
 from nishiki.codec.allocate import EncodedObject
 from nishiki.codec.design import Design, Extent
 from nishiki.codec.entropy import Model, decode, pack, unpack
-from nishiki.codec.parameters import decode_parameters
-from nishiki.codec.tile_code import decode_residual
+from nishiki.codec.tile_code import decode_parameters, decode_residual
 from nishiki.errors import UserError
 from nishiki.formats.stored import open_array
 

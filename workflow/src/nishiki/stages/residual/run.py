@@ -26,11 +26,10 @@ from nishiki.codec.allocate import (
 )
 from nishiki.codec.compact import cost_of
 from nishiki.codec.design import Design
-from nishiki.codec.parameters import TileMaps, TileSurface
 from nishiki.codec.pictures import SIDE, PictureSource, attach_strayed, pack_strayed
 from nishiki.codec.solve import Pursuit
 from nishiki.codec.store import FRAME, frame_bytes, write_residual
-from nishiki.codec.tile_code import CodedScene, Effort, Pixels, model_of, see
+from nishiki.codec.tile_code import CodedScene, Effort, Pixels, TileMaps, TileSurface, model_of, see
 from nishiki.colour.colour import encode
 from nishiki.errors import UserError
 from nishiki.evaluate.object_photographs import Photographs
