@@ -224,7 +224,7 @@ def test_saturated_highlights_bring_views_nearer_that_no_fit_saw(roughness, gain
         for n, t in tiles.items():
             for view in np.flatnonzero(hidden):
                 seen = t.visible[view]
-                difference = capture(lighting).predict(found[n], t, int(view), seen).clip(None, 0.9)
+                difference = sum(capture(lighting).predict(found[n], t, int(view), seen)).clip(None, 0.9)
                 squares.append(((difference - t.values[view][seen].clip(None, 0.9)) ** 2).ravel())
         errors[told] = -10 * np.log10(np.concatenate(squares).mean())
     assert errors[True] > errors[False] + gain_db

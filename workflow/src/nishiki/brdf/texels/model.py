@@ -29,6 +29,7 @@ from nishiki.geometry.camera import Camera
 KINDS = ("camera", "direction", "position", "environment", "unknown")
 POINT, DISTANT, ENVIRONMENT = 0, 1, 2
 HARMONICS = 9  # 1, x, y, z, xy, yz, zx, x^2 - y^2, 3 z^2 - 1
+MOST_GLOSS = np.float32(0.15)  # over diffuse light
 UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 TO_LAMP_FRAME = np.diag([1.0, -1.0, -1.0])  # from the camera frame with y down and z into the scene
 
@@ -151,6 +152,15 @@ def predict(
 def facet_lobe(squared_angle: np.ndarray, sigma: np.ndarray | float) -> np.ndarray:
     """Compute (1 + alpha^2 / (4 sigma^2))^-2 of squared angles; sigma in radians (Trowbridge and Reitz 1975)."""
     return 1 / np.square(1 + squared_angle / (4 * sigma * sigma))
+
+
+def weigh_lender(diffuse: np.ndarray, gloss: np.ndarray) -> np.ndarray:
+    """Compute the weight (n,) float32, 0.001 to 1, with which a view lends what the model (n, channels) lacks in it.
+
+    Half at MOST_GLOSS: what is lacking of a highlight moves with the view.
+    """
+    ratio = gloss.sum(axis=-1) / np.maximum(MOST_GLOSS * diffuse.sum(axis=-1), _TINY)
+    return 1 / (1 + np.square(np.minimum(ratio, np.float32(30))))
 
 
 def factors(

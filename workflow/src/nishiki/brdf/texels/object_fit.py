@@ -90,8 +90,7 @@ def _choose_pull(
 ) -> float:
     """Choose the pull whose fit to two thirds of the views predicts the others best, on some tiles.
 
-    Of three captured views in a row the middle one is hidden, and predicted by the model and the mean of its residuals
-    in the two others.
+    Of three captured views in a row the middle one is hidden, and predicted by the model and what the two others lend.
     """
     captured = np.flatnonzero(np.any([tile.visible.any(axis=(1, 2)) for tile in map(read, tiles)], axis=0))
     rows = list(zip(captured[::3], captured[1::3], captured[2::3], strict=False))
@@ -109,8 +108,11 @@ def _choose_pull(
             fitted = _fit_tile(hidden, *observations, gloss)
             for row in rows:
                 seen = usable[list(row)].all(axis=0)
-                before, here, after = (capture.subtract_prediction(fitted, tile, int(view), seen) for view in row)
-                errors[place] += np.nansum((here - (before + after) / 2) ** 2, dtype=np.float64)
+                parts = (capture.subtract_prediction(fitted, tile, int(view), seen) for view in row)
+                left, weights = zip(*parts, strict=True)
+                before, after = (weights[k] / (weights[0] + weights[2]) for k in (0, 2))
+                lent = before[:, None] * left[0] + after[:, None] * left[2]
+                errors[place] += np.nansum((left[1] - lent) ** 2, dtype=np.float64)
         return errors
 
     return PULLS[int(np.argmin(sum(in_threads(measure_errors, tiles, threads), np.zeros(len(PULLS)))))]

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from nishiki.brdf.slopes import GRAZING
-from nishiki.brdf.texels.model import ViewLamp, facet_lobe, factors, predict
+from nishiki.brdf.texels.model import ViewLamp, facet_lobe, factors, predict, weigh_lender
 from nishiki.brdf.texels.parameters import Parameters
 from nishiki.colour.colour import encode, encoding_slope
 from nishiki.formats.stored import channel_bits
@@ -238,30 +238,32 @@ class CaptureViews:
         tile = tile.joined
         for o in np.flatnonzero(tile.visible.reshape(len(tile.visible), -1).any(axis=1)):
             seen = tile.visible[o] & tile.inside
-            error = self.subtract_prediction(parameters, tile, int(o), seen)
+            error, _ = self.subtract_prediction(parameters, tile, int(o), seen)
             error = error[np.isfinite(error)]
             total += float(np.sum(error.astype(np.float64) ** 2))
             count += error.size
         return total, count
 
-    def subtract_prediction(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
+    def subtract_prediction(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> tuple:
         """Subtract the encoded total radiance of a joined tile from the predicted one, as `predict`.
 
-        A prediction above a saturated value has no error.
+        A prediction above a saturated value has no error. Return the weight of `weigh_lender` too.
         """
-        found = encode(self.predict(parameters, tile, observation, texels), self.encoding)
-        error = found - encode(tile.values[observation][texels], self.encoding)
+        parts = self.predict(parameters, tile, observation, texels)
+        error = encode(sum(parts), self.encoding) - encode(tile.values[observation][texels], self.encoding)
         if tile.saturated is None:
-            return error
+            return error, weigh_lender(*parts)
         flags = (tile.saturated[observation][texels][..., None] & channel_bits(error.shape[-1])) > 0
-        return np.where(flags, np.minimum(error, 0), error)
+        return np.where(flags, np.minimum(error, 0), error), weigh_lender(*parts)
 
-    def predict(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> np.ndarray:
-        """Predict total radiance (..., channels) of one observation of a tile, or of texels (an index into (T, T))."""
+    def predict(self, parameters: Parameters, tile: Tile, observation: int, texels=...) -> tuple:
+        """Predict diffuse and specular radiance (..., channels) of one observation of a tile, or of some texels.
+
+        texels: an index into (T, T).
+        """
         of_texels = (parameters.kd, parameters.ks, parameters.sigma, tile.positions, tile.normals)
         kd, ks, sigma, places, facing = (array[texels] for array in of_texels)
-        diffuse, specular = predict(kd, ks, sigma, places, facing, self.centres[observation], self.lamps[observation])
-        return diffuse + specular
+        return predict(kd, ks, sigma, places, facing, self.centres[observation], self.lamps[observation])
 
 
 WIDTHS = np.geomspace(0.02, 0.35, 24)

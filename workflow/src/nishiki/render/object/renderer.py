@@ -21,7 +21,7 @@ from nishiki.artifacts.artifact import Artifact
 from nishiki.atlas.atlas import Atlas
 from nishiki.atlas.store import Texels
 from nishiki.atlas.surface import texel_points
-from nishiki.brdf.texels.model import ENVIRONMENT, POINT, CaptureLamps, ViewLamp, predict
+from nishiki.brdf.texels.model import ENVIRONMENT, POINT, CaptureLamps, ViewLamp, predict, weigh_lender
 from nishiki.codec.pictures import decode_picture
 from nishiki.codec.store import CodedReader, CodedTexels, Residual
 from nishiki.colour.colour import decode as to_linear
@@ -41,8 +41,6 @@ from nishiki.threads import threads as given_threads
 UNSURE = np.float32(0.02)
 """Weight of a view in which a texel is in the light and here is not, or the other way, and of one that shows it beside
 an edge or the border of a shadow, where a wrong surface puts the values of another place."""
-MOST_GLOSS, LEAST_WEIGHT = np.float32(0.15), np.float32(1e-3)
-"""Gloss over diffuse light at which a view lends half: what the model lacks of a highlight moves with the view."""
 MOST_PLACES, MOST_BANDS = 1 << 14, 4  # in one look-up by OpenCV, which takes fewer than 2**15 and at most 4
 FOLD_PX = 12
 """Pixels by which a picture is carried over places turned away from the camera: folds of a hull, and steps that it has
@@ -338,8 +336,7 @@ class ObjectRenderer:
         lit, seen = self._find_lit(lamp, positions, normals), self.depths.visible(positions, normals, camera)
         diffuse, gloss = self._predict(flat, slice(None), camera, lamp)
         model = encode(diffuse + gloss, self.encoding)
-        ratio = lit * gloss.sum(axis=1) / np.maximum(MOST_GLOSS * diffuse.sum(axis=1), np.float32(1e-30))
-        seen *= np.maximum(1 / (1 + ratio * ratio), LEAST_WEIGHT)
+        seen *= weigh_lender(diffuse, lit[:, None] * gloss)
         for shown in (lit, seen):
             seen[find_borders(shown > 0, flat.inside)] *= UNSURE
         if self.pictures is not None and self.ceiling is not None:  # the picture ends there, too

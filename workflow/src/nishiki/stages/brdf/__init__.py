@@ -63,7 +63,7 @@ OBJECT_LIMITS = (
 )
 
 
-class ObjectBrdfSettings(Guarded, stage="object_brdf", version=11, limits=OBJECT_LIMITS):
+class ObjectBrdfSettings(Guarded, stage="object_brdf", version=12, limits=OBJECT_LIMITS):
     """Lambert's term and a lobe of facets at every texel of an object."""
 
     lighting: Literal["auto", "camera", "fitted"] = Field(
