@@ -83,7 +83,7 @@ def of_painting(folder: Path, albedo: float):
 
 
 def of_object(sigma: float, strength: float, albedo: float) -> dict:
-    """Figures of a ball, seen along z, where K_s / cos(theta_r) exp(-a^2 / (2 sigma^2)) is the gloss."""
+    """Figures of a ball, seen along z, where K_s / cos(theta_r) (1 + a^2 / (4 sigma^2))^-2 is the gloss."""
     random = np.random.default_rng(1)
     z, turn = np.sqrt(random.random(20000)), 2 * np.pi * random.random(20000)
     normals = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
@@ -94,7 +94,7 @@ def of_object(sigma: float, strength: float, albedo: float) -> dict:
         lamp = towards(degrees)
         half = (lamp + UP) / np.linalg.norm(lamp + UP)
         cos_i, cos_phi = (np.maximum(normals @ each, 0) for each in (lamp, half))
-        lobe = np.exp(-(np.arccos(np.minimum(cos_phi, 1)) ** 2) / (2 * sigma**2)) / np.maximum(z, GRAZING)
+        lobe = (1 + np.arccos(np.minimum(cos_phi, 1)) ** 2 / (4 * sigma**2)) ** -2 / np.maximum(z, GRAZING)
         ours = albedo * cos_i + np.where(cos_i > 0, strength * lobe, 0)
         reflected = normal + (1 - normal) * (1 - half[2]) ** 5
         gloss = np.pi * reflected * isotropic_lobe(cos_phi, cos_i, z, alpha)

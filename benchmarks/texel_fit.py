@@ -94,12 +94,16 @@ def scipy_seconds(data: TileSamples, count: int, analytic: bool) -> tuple[float,
     return fastest(lambda: fit_points(*few, found, reports, analytic=analytic), 1), found, reports
 
 
-def explained(data: TileSamples, kd, ks, sigma) -> float:
-    """Root mean square of the weighted residuals of texels."""
-    lobe = data.attenuation * np.exp(-(data.alpha**2) / (2 * sigma[:, None] ** 2))
+def explained(data: TileSamples, kd, ks, lobe) -> float:
+    """Root mean square of the weighted residuals of texels; lobe (points, slots): what multiplies K_s."""
     model = kd[:, None] * data.diffuse[..., None] + ks[:, None] * lobe[..., None]
     weights = data.weights[..., None]
     return float(np.sqrt(np.sum(weights * (model - data.values) ** 2) / (weights.sum() * model.shape[-1])))
+
+
+def some_of(data: TileSamples, points) -> TileSamples:
+    """Some of the points."""
+    return TileSamples(*(None if values is None else values[points] for values in vars(data).values()))
 
 
 def timed(name: str, data: TileSamples, scipy_count: int) -> None:
@@ -107,24 +111,25 @@ def timed(name: str, data: TileSamples, scipy_count: int) -> None:
     texels, count = len(data.texel), min(scipy_count, len(data.texel))
     shared = {"object": name, "views": int(data.view.max()) + 1, "channels": data.values.shape[2], "texels": texels}
     shared["observations_a_texel"] = round(float(data.seen.mean()), 2)
-    part = TileSamples(*(getattr(data, field)[:count] for field in data.__dataclass_fields__))
+    part = some_of(data, slice(count))
     kd, ks, sigma = fit_alone(part)
     mine = fastest(lambda: fit_alone(data), 5) / texels * 1e6
     slow, found, reports = scipy_seconds(data, count, True)
     differences, *_ = scipy_seconds(data, count, False)
     width = reports[:, 0] / np.sqrt(2 * np.log(2))
     both = np.isfinite(width) & (width > WIDTHS[0]) & (width < WIDTHS[-1])  # a width was determined
-    compared = TileSamples(*(getattr(part, field)[both] for field in part.__dataclass_fields__))
+    compared = some_of(part, both)
+    gaussian = compared.attenuation * np.exp(-(compared.alpha**2) / (2 * width[both, None] ** 2))  # scipy's lobe
     reference, differences = slow / count * 1e6, differences / count * 1e6
     report(
         **shared, method="profile_of_widths", us_per_texel=round(mine, 3), default=True,
         ratio_to_scipy=round(reference / mine, 1), ratio_to_scipy_differences=round(differences / mine, 1),
-        rms=explained(compared, kd[both], ks[both], sigma[both]), compared=int(both.sum()),
+        rms=explained(compared, kd[both], ks[both], lobes_of(compared, sigma[both])), compared=int(both.sum()),
     )  # fmt: skip
     report(
         **shared, method="scipy_least_squares", us_per_texel=round(reference, 1), default=False,
         us_per_texel_differences=round(differences, 1), ratio_to_scipy=1.0,
-        rms=explained(compared, found[both, :, 1], found[both, :, 0], width[both]), compared=int(both.sum()),
+        rms=explained(compared, found[both, :, 1], found[both, :, 0], gaussian), compared=int(both.sum()),
     )  # fmt: skip
 
 
