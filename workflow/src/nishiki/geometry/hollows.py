@@ -7,14 +7,16 @@ from multiple images, Optical Engineering 19, 1980)
     I_v = b . l_v        b: albedo times normal, l_v: towards the lamp of view v, times (distance / mean distance)^-2
 
 with one b for each channel, whatever its paint. A point of a hull in front of a hollow shows other points of the object
-in every view, and no b fits: there the robust residual of the fit is many times that of the rest.
+in every view, and no b fits: there most views contradict the fit.
 
-A contradicted region sinks by depth * profile along the mean of its inward normals, the profile being 0 at the region's
-border. The depth with the smallest residual over the pixels of the region is kept. Topology and outlines stay.
+A view's contradiction is its squared error in units of ERROR, at most 1. A region that contradicts by more than half
+sinks by depth * profile along the mean of its inward normals, the profile being 0 at the region's border. Regions are
+cut at several levels of contradiction; those are taken that lower its sum over all pixels most, each at its best depth.
+Topology and outlines stay.
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -26,37 +28,26 @@ from nishiki.geometry.hull_kernels import project_point
 from nishiki.geometry.mesh import Mesh
 from nishiki.geometry.surface import vertex_adjacency
 from nishiki.geometry.turn import scale_camera
-from nishiki.geometry.visibility import interpolate, rasterise
+from nishiki.geometry.visibility import Raster, interpolate, rasterise
 from nishiki.small_matrices import solve_by_cofactors
 from nishiki.threads import over_rows
 
-RELATIVE_ERROR, ERROR = 0.02, 0.005
-"""Deviation of a matt point from the model: part of its value, and of the object's bright values."""
-LARGEST = 16.0
-"""Cap of a view's squared residual, in squared deviations; also used for points seen in too few views."""
-CONTRADICTED, OF_LOWER_TENTH = 7.0, 4.0
-"""Residual above which a place is contradicted, also in tenth percentiles of the whole surface: the mouth of a
-dish is three quarters of all that is seen, and raises the median."""
-ROUNDS = 12
-"""Averages over neighbouring vertices: of the residual before it is judged, and of a finer mesh's shift, since steps
-between the coarse mesh's vertices would take five times the triangles."""
-SMALLEST_REGION = 0.015
-"""Share of all vertices below which a region stays: shadows contradict small places too."""
-IMPROVEMENT = 0.7
-"""Ratio of a region's residual to that before, above which the region stays as it was."""
-FEWEST_VIEWS = 5
+ERROR, DARK = 0.045, 0.25
+"""A view contradicts a matt point from this part of the point's values plus DARK of the object's bright values: dark
+places are lit by the rest of the object."""
+LEVELS = 0.66 * 0.82 ** np.arange(4)
+"""Shares of contradiction at which a region may end; steps of a fifth move its border by less than ROUNDS."""
+FEWEST_VIEWS = 5  # b has three unknowns
 LEAST_COSINE = 0.25  # of a view with the normal
-WIDTHS = (1.0, 0.7)
-"""Parts of the limit above which neighbours of a contradicted place are tried as part of its region: towards its rim a
-hollow is shallow, and there the residual falls."""
+ROUNDS = 8
+"""Averages over neighbouring vertices: of contradiction, of a region's outline, and of a finer mesh's shift, since
+steps between the coarse mesh's vertices would take five times the triangles. A region is at least what they reach."""
 FLATNESS = 0.75  # power of the solution of Poisson's equation that is a hollow's profile
-DEPTHS = np.geomspace(0.05, 0.94, 12)
-"""Depths as parts of the object's extent along the direction."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fit_matt_points(start, stop, views, limits, points, normals, out, predicted):
-    """Average the robust squared residual (n,) of I = b . l over the views that see a point; three rounds of weights.
+    """Average over the views that see a point how much they contradict I = b . l (n,), 0 to 1; three rounds of weights.
 
     views: pictures (v, rows, columns, channels), depth of the farthest surface about each pixel (v, rows, columns),
     poses, lenses, centres (v, 3); limits: mean distance of the cameras, tolerance of the depth, view that is left out
@@ -65,10 +56,10 @@ def fit_matt_points(start, stop, views, limits, points, normals, out, predicted)
     (pictures, deepest, poses, lenses, centres), (distance, tolerance, left_out) = views, limits
     count, rows, columns, channels = pictures.shape
     shown, towards, light = np.empty((count, channels)), np.empty((count, 3)), np.empty(3)
-    variance, weight, error = np.empty(count), np.empty(count), np.empty(count)
+    weight, error = np.empty(count), np.empty(count)
     sides, b = np.empty((channels, 3)), np.empty((channels, 3))
     for n in range(start, stop):
-        seen = 0
+        seen, scale = 0, 0.0
         for v in range(count):
             if v == left_out:
                 continue
@@ -85,20 +76,20 @@ def fit_matt_points(start, stop, views, limits, points, normals, out, predicted)
             if depth > deepest[v, int(row + 0.5), int(column + 0.5)] + tolerance:
                 continue
             i, j = int(row), int(column)
-            s, t, mean = row - i, column - j, 0.0
+            s, t = row - i, column - j
             for k in range(channels):
                 above = (1 - t) * pictures[v, i, j, k] + t * pictures[v, i, j + 1, k]
                 below = (1 - t) * pictures[v, i + 1, j, k] + t * pictures[v, i + 1, j + 1, k]
                 shown[seen, k] = (1 - s) * above + s * below
-                mean += shown[seen, k] / channels
+                scale += shown[seen, k] ** 2
             for k in range(3):
                 towards[seen, k] = light[k] * distance**2 / square**1.5
-            variance[seen] = (RELATIVE_ERROR * mean) ** 2 + ERROR**2
-            weight[seen] = 1 / variance[seen]
+            weight[seen] = 1.0
             seen += 1
         out[n] = -1.0
         if seen < FEWEST_VIEWS:
             continue
+        scale = (ERROR * (np.sqrt(scale / (seen * channels)) + DARK)) ** 2 * channels
         for _ in range(3):
             xx = xy = xz = yy = yz = zz = 0.0
             sides[:] = 0
@@ -120,10 +111,10 @@ def fit_matt_points(start, stop, views, limits, points, normals, out, predicted)
                 error[v] = 0.0
                 for k in range(channels):
                     model = b[k, 0] * towards[v, 0] + b[k, 1] * towards[v, 1] + b[k, 2] * towards[v, 2]
-                    error[v] += (shown[v, k] - max(model, 0.0)) ** 2 / (channels * variance[v])
-                weight[v] = 1 / (variance[v] * (1 + error[v] / 4))
-                total += min(error[v], LARGEST)
-        out[n] = min(total / max(seen - 3, 1), LARGEST)
+                    error[v] += (shown[v, k] - max(model, 0.0)) ** 2 / scale
+                weight[v] = 1 / (1 + 4 * error[v])
+                total += min(error[v], 1.0)
+        out[n] = min(total / max(seen - 3, 1), 1.0)
         if left_out >= 0:
             square = 0.0
             for k in range(3):
@@ -188,7 +179,7 @@ class ShadingPhotographs:
         return True
 
     def residuals(self, depths: list[np.ndarray], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
-        """Compute the mean robust squared residual (n,) of points in the views that see them; -1 where too few do."""
+        """Compute the contradiction (n,) of points in the views that see them, 0 to 1; -1 where too few do."""
         import cv2
 
         shown, square = (np.where(np.isfinite(depth), depth, 0) for depth in depths), np.ones((3, 3), np.uint8)
@@ -222,41 +213,48 @@ def sink_hollows(mesh: Mesh, coarse: Mesh, photographed: ShadingPhotographs) -> 
     """
     from scipy.spatial import cKDTree
 
-    start, figures = coarse.vertices, []
-    for regions in contradicted_regions(coarse, photographed):
-        coarse, figure = sink(coarse, regions, photographed)
-        figures += figure
+    fronts = [rasterise(coarse, camera) for camera in photographed.cameras]
+    regions = contradicted_regions(coarse, fronts, photographed)
+    if not regions:
+        return mesh, []
+    layers = [
+        (front, rasterise(coarse, camera, behind=front.depth))
+        for front, camera in zip(fronts, photographed.cameras, strict=True)
+    ]
+    hollows = [Hollow(coarse, region, layers, photographed) for region in regions]
+    shift, figures = np.zeros_like(coarse.vertices), []
+    for hollow in sorted(hollows, key=lambda hollow: (hollow.after - hollow.before) * hollow.pixels):
+        if hollow.depth > 0 and not shift[hollow.region].any():
+            shift += hollow.shift(hollow.depth)
+            figure = {"vertices": int(hollow.region.sum()), "direction": hollow.direction.tolist()}
+            figures.append({**figure, "depth": hollow.depth, "residual": [hollow.before, hollow.after]})
     if not figures:
         return mesh, []
-    distance, nearest = cKDTree(start).query(mesh.vertices, k=4)
-    weights = 1 / np.maximum(distance, 1e-9 * np.ptp(start))
-    shift = np.einsum("nk,nkc->nc", weights / weights.sum(1, keepdims=True), (coarse.vertices - start)[nearest])
+    distance, nearest = cKDTree(coarse.vertices).query(mesh.vertices, k=4)
+    weights = 1 / np.maximum(distance, 1e-9 * np.ptp(coarse.vertices))
+    shift = np.einsum("nk,nkc->nc", weights / weights.sum(1, keepdims=True), shift[nearest])
     near, moved = neighbourhoods(mesh), shift.any(axis=1, keepdims=True)
     for _ in range(ROUNDS):
         shift = np.where(moved, near @ shift, 0)
     return Mesh.of(mesh.vertices + shift, mesh.triangles), figures
 
 
-def contradicted_regions(mesh: Mesh, photographed: ShadingPhotographs) -> list[list[np.ndarray]]:
-    """List vertices (v,) bool of each large region where no matt point fits the photographs, the largest first.
-
-    Each as several candidates, one for each of WIDTHS, the narrowest first.
-    """
-    depths = [rasterise(mesh, camera).depth for camera in photographed.cameras]
-    values = photographed.residuals(depths, mesh.vertices, mesh.normals)
-    seen = values >= 0
-    if not seen.any():
-        return []
-    near = neighbourhoods(mesh)
-    total, count = np.where(seen, values, 0.0), seen.astype(np.float64)
+def contradicted_regions(mesh: Mesh, fronts: list[Raster], photographed: ShadingPhotographs) -> list[np.ndarray]:
+    """List vertices (v,) bool of all regions, cut at each of LEVELS, that contradict by more than half."""
+    values = photographed.residuals([front.depth for front in fronts], mesh.vertices, mesh.normals)
+    near, regions = neighbourhoods(mesh), []
+    total, count = np.where(values < 0, 0.0, values), (values >= 0).astype(np.float64)
     for _ in range(ROUNDS):
         total, count = near @ total, near @ count
-    mean = np.where(count > 0.3, total / np.maximum(count, 1e-12), 0.0)
-    limit = max(CONTRADICTED, OF_LOWER_TENTH * float(np.percentile(values[seen], 10)))
-    parts = list_parts(mean > limit, near)
-    large = [part for part in parts if part.sum() >= SMALLEST_REGION * len(mesh.vertices)]
-    wider = [list_parts(mean > width * limit, near) for width in WIDTHS]
-    return [[close_region(part, near) for among in wider for part in among if part[np.argmax(core)]] for core in large]
+    mean = total / np.maximum(count, 1 / 3)  # no more than that where fewer than a third is seen
+    for level in LEVELS:
+        for part in list_parts(mean > level, near):
+            if part.sum() < 3 * ROUNDS**2:  # vertices within so many steps of one
+                break
+            region = close_region(part, near)
+            if region.sum() >= 3 * ROUNDS**2 and mean[region].mean() > 0.5:
+                regions.append(region)
+    return regions
 
 
 def list_parts(vertices: np.ndarray, near) -> list[np.ndarray]:
@@ -279,120 +277,86 @@ def neighbourhoods(mesh: Mesh):
     return (diags_array(1 / joined.sum(axis=1)) @ joined).tocsr()
 
 
-def close_region(region: np.ndarray, near, rounds: int = 6, rim: int = 2) -> np.ndarray:
+def close_region(region: np.ndarray, near, rim: int = 2) -> np.ndarray:
     """Close small holes and bays of a region, and remove the rim that its patches share with sound surface."""
-    for _ in range(rounds):
+    for _ in range(ROUNDS):
         region = near @ region > 0
-    for _ in range(rounds + rim):
+    for _ in range(ROUNDS + rim):
         region = ~(near @ ~region > 0)
     return region
 
 
-@dataclass(frozen=True)
 class Hollow:
-    """A region (v,) bool that may be sunk, its depth profile (v,), and the unit vector along which it sinks.
+    """A region (v,) bool of a mesh that may sink, and the depth at which the fewest views contradict.
 
-    The profile is 0 at the border of the region and outside, 1 at its deepest.
+    layers: the mesh and what lies behind it in each view. Of every third view every third pixel that shows the region
+    is judged, for all depths the same.
     """
 
-    region: np.ndarray
-    profile: np.ndarray
-    direction: np.ndarray
-
-    @classmethod
-    def of(cls, mesh: Mesh, region: np.ndarray) -> "Hollow":
-        """Make a hollow that sinks along the mean of the region's inward normals."""
+    def __init__(
+        self,
+        mesh: Mesh,
+        region: np.ndarray,
+        layers: list[tuple[Raster, Raster]],
+        photographed: ShadingPhotographs,
+    ):
         from scipy.sparse import eye
         from scipy.sparse.linalg import spsolve
 
-        direction = -mesh.normals[region].sum(axis=0).astype(np.float64)
+        self.mesh, self.region, self.photographed = mesh, region, photographed
+        inwards = -mesh.normals[region].sum(axis=0).astype(np.float64)
+        self.direction = inwards / max(np.linalg.norm(inwards), 1e-12)
         # The root of the solution of Poisson's equation grows with the distance to the border, which makes a cone;
         # FLATNESS makes a bowl of it.
-        profile = np.zeros(len(region))
+        self.profile = np.zeros(len(region))  # 0 at the border of the region and outside, 1 at its deepest
         inner = (eye(len(region)) - neighbourhoods(mesh)).tocsr()[region][:, region]
-        profile[region] = np.maximum(spsolve(inner.tocsc(), np.ones(int(region.sum()))), 0)
-        profile = (profile / max(profile.max(), 1e-12)) ** FLATNESS
-        return cls(region, profile, direction / max(np.linalg.norm(direction), 1e-12))
-
-    def sunk(self, mesh: Mesh, part: float) -> Mesh:
-        """Sink a mesh by a part of its extent along the direction, times the profile."""
-        shift = (part * np.ptp(mesh.vertices @ self.direction) * self.profile)[:, None] * self.direction
-        return Mesh.of(mesh.vertices + shift, mesh.triangles)
-
-
-def sink(mesh: Mesh, regions: list[np.ndarray], photographed: ShadingPhotographs) -> tuple[Mesh, list[dict]]:
-    """Sink the candidate region that lowers the residual most, as deep as the photographs support.
-
-    Return the mesh and its figures; no figures where nothing is gained.
-    """
-    seen = Shown(mesh, np.any(regions, axis=0), photographed)
-    core, widest = (seen.pixels_of(regions[k]) for k in (0, -1))
-
-    def judge(hollow: Hollow, part: float) -> float:
-        sunk = hollow.sunk(mesh, part)
-        fits = photographed.inside(sunk.vertices[hollow.region & (hollow.profile > 0.1)])
-        return seen.residual(sunk, widest) if fits else np.inf
-
-    trials = [(hollow, part) for region in regions for hollow in (Hollow.of(mesh, region),) for part in DEPTHS]
-    residuals = [judge(*trial) for trial in trials]
-    hollow, part = trials[int(np.argmin(residuals))]
-    if not np.isfinite(min(residuals)):  # every depth passes a silhouette
-        return mesh, []
-    result = hollow.sunk(mesh, part)
-    before, after = (seen.residual(each, core) for each in (mesh, result))
-    if not after < IMPROVEMENT * before:
-        return mesh, []
-    depth = float(part * np.ptp(mesh.vertices @ hollow.direction))
-    figure = {"vertices": int(hollow.region.sum()), "direction": hollow.direction.tolist(), "depth": depth}
-    return result, [{**figure, "residual": [before, after]}]
-
-
-class Shown:
-    """A mesh drawn in all views while only a region (v,) bool of it moves; the rest is drawn once.
-
-    Every third view also keeps the triangle and the weights at each pixel.
-    """
-
-    def __init__(self, mesh: Mesh, region: np.ndarray, photographed: ShadingPhotographs):
-        self.photographed, self.triangles = photographed, mesh.triangles
+        self.profile[region] = np.maximum(spsolve(inner.tocsc(), np.ones(int(region.sum()))), 0)
+        self.profile = (self.profile / max(self.profile.max(), 1e-12)) ** FLATNESS
         touched = region[mesh.triangles].any(axis=1)
         self.moving, self.used = np.flatnonzero(touched).astype(np.int32), np.unique(mesh.triangles[touched])
         self.local = np.searchsorted(self.used, mesh.triangles[touched]).astype(np.int32)
-        rest, numbers = replace(mesh, triangles=mesh.triangles[~touched]), np.append(np.flatnonzero(~touched), -1)
-        self.depths, self.sampled = [], {}
-        for view, camera in enumerate(photographed.cameras):
-            still = rasterise(rest, camera)
-            self.depths.append(still.depth)
-            if view % 3 == 0:
-                self.sampled[view] = numbers.astype(np.int32)[still.triangle.ravel()], still.barycentric.reshape(-1, 2)
-        self.drawn = self.draw(mesh, {view: np.arange(len(each[0])) for view, each in self.sampled.items()})[1]
+        touched, inside = np.append(touched, False), np.append(region[mesh.triangles].all(axis=1), False)
+        numbers = np.where(touched, -1, np.arange(len(touched), dtype=np.int32))
+        numbers[-1] = -1  # no triangle
+        self.depths, self.sampled = [front.depth for front, _ in layers], {}
+        for view, (front, back) in enumerate(layers):  # a view that does not show the region cannot look into it
+            if (shown := touched[front.triangle]).any():
+                self.depths[view] = np.where(shown, np.where(touched[back.triangle], np.inf, back.depth), front.depth)
+                at = np.flatnonzero(inside[front.triangle] & (view % 3 == 0))[::3]
+                still = numbers[back.triangle.ravel()[at]]
+                self.sampled[view] = at, still, back.barycentric.reshape(-1, 2)[at]
+        self.pixels, self.depth = sum(len(at) for at, *_ in self.sampled.values()), 0.0
+        self.before = self.after = self.residual(0.0) if self.pixels else 0.0
+        for factor in 2.0 ** -np.arange(5):
+            self.attempt(0.95 * factor * float(np.ptp(mesh.vertices @ self.direction)))
+        for step in (0.5, -0.5, 0.25, -0.25):
+            self.attempt(2**step * self.depth)
 
-    def draw(self, mesh: Mesh, pixels: dict[int, np.ndarray]) -> tuple[list[np.ndarray], dict[int, tuple]]:
-        """Draw depths (rows, columns) of the moved mesh by view, triangle (n,) and weights (n, 2) at flat pixels."""
-        part, depths, sampled = Mesh(mesh.vertices[self.used], self.local, mesh.normals[self.used]), [], {}
-        for view, (camera, depth) in enumerate(zip(self.photographed.cameras, self.depths, strict=True)):
-            moved = rasterise(part, camera)
-            depths.append(np.minimum(moved.depth, depth))
-            if view in pixels:
-                at, (triangle, weights) = pixels[view], self.sampled[view]
-                nearer = (moved.depth < depth).ravel()[at]
-                triangle = np.where(nearer, self.moving[moved.triangle.ravel()[at]], triangle[at])
-                weights = np.where(nearer[:, None], moved.barycentric.reshape(-1, 2)[at], weights[at])
-                sampled[view] = triangle, weights
-        return depths, sampled
+    def shift(self, depth: float) -> np.ndarray:
+        """Compute the shift (v, 3) of all vertices at a depth."""
+        return depth * self.profile[:, None] * self.direction
 
-    def pixels_of(self, region: np.ndarray) -> dict[int, np.ndarray]:
-        """Find flat indexes of every third pixel showing a region in every third view: the same for all candidates."""
-        inside = np.append(region[self.triangles].all(axis=1), False)
-        return {view: np.flatnonzero(inside[triangle])[::3] for view, (triangle, _) in self.drawn.items()}
+    def attempt(self, depth: float) -> None:
+        """Keep a depth if fewer views contradict it and it passes no silhouette."""
+        deep = self.profile > 0.1
+        if depth > 0 and self.photographed.inside((self.mesh.vertices + self.shift(depth))[deep]):
+            after = self.residual(depth)
+            if after < self.after:
+                self.depth, self.after = depth, after
 
-    def residual(self, mesh: Mesh, pixels: dict[int, np.ndarray]) -> float:
-        """Average the residual of a mesh over these pixels; a point that few views see counts as contradicted."""
-        points, normals, (depths, sampled) = [], [], self.draw(mesh, pixels)
-        for triangle, weights in sampled.values():
-            for values, out in ((mesh.vertices, points), (mesh.normals, normals)):
-                out.append(interpolate(values, mesh.triangles, triangle, weights)[triangle >= 0])
-        normal = np.concatenate(normals)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-        values = self.photographed.residuals(depths, np.concatenate(points), normal)
-        return float(np.where(values < 0, LARGEST, values).sum() / len(values))
+    def residual(self, depth: float) -> float:
+        """Average the contradiction over the region's pixels; a point that few views see counts 1."""
+        vertices, normals = self.mesh.vertices + self.shift(depth), self.mesh.normals.copy()
+        part, depths, drawn = Mesh.of(vertices[self.used], self.local), list(self.depths), []
+        normals[self.used] = part.normals
+        for view, (at, triangle, weights) in self.sampled.items():
+            moved = rasterise(part, self.photographed.cameras[view])
+            nearer = (moved.depth < depths[view]).ravel()[at]
+            depths[view] = np.minimum(moved.depth, depths[view])
+            triangle = np.where(nearer, self.moving[moved.triangle.ravel()[at]], triangle)
+            drawn.append((triangle, np.where(nearer[:, None], moved.barycentric.reshape(-1, 2)[at], weights)))
+        triangle, weights = (np.concatenate(each) for each in zip(*drawn, strict=True))
+        points, normals = (interpolate(each, self.mesh.triangles, triangle, weights) for each in (vertices, normals))
+        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+        values = self.photographed.residuals(depths, points, normals)
+        return float(np.where((values < 0) | (triangle < 0), 1.0, values).mean())

@@ -59,7 +59,7 @@ LIMITS = (
 )
 
 
-class MeshSettings(Guarded, stage="mesh", version=13, limits=LIMITS):
+class MeshSettings(Guarded, stage="mesh", version=14, limits=LIMITS):
     """Source of the object's surface, and number of its triangles."""
 
     source: Literal["auto", "file", "scans", "silhouettes"] = Field(
