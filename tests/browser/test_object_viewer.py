@@ -11,6 +11,7 @@ from coded_dome import coded_dome
 
 from nishiki.geometry.camera import look_at
 from nishiki.render.display import encode_display
+from nishiki.render.object import renderer as renderer_module
 from nishiki.render.object.shots import Neighbours, Shot
 from nishiki.report.viewer.page import Blocks
 from nishiki.stages.render.painting import direction
@@ -68,7 +69,10 @@ def test_captured_view(shown):
     check(shown, {"view": {"captured": 3}}, renderer, renderer.captured(3))
 
 
-def test_between_views(shown):
+def test_between_views(shown, monkeypatch):
+    """The page gives its two views full weight at highlights, edges and borders of shadows."""
+    monkeypatch.setattr(renderer_module, "weigh_lender", lambda diffuse, gloss: np.float32(1))
+    monkeypatch.setattr(renderer_module, "find_borders", lambda shown, inside: np.zeros(shown.shape, bool))
     renderer = shown.decoded.renderer(rim=0)
     check(shown, {"view": {"captured": 9.5}}, renderer, renderer.between(9, 0.5))
 

@@ -121,7 +121,7 @@ def test_the_files_show_our_model(exported):
         without = decibels(sample(reader.diffuse, points.places) * points.factors()[0], ours)
         reached = points.cosines()[0] > np.cos(np.radians(58))  # tables end at 60 degrees
         assert decibels(reader.light(points, viewer=False)[reached], ours[reached]) > 55
-        assert meant > 34
+        assert meant > viewer
         assert viewer > without + 7
 
 

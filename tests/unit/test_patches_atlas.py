@@ -25,6 +25,7 @@ from nishiki.atlas.surface import (
 )
 from nishiki.atlas.write import Source, TexelsWriter
 from nishiki.errors import UserError
+from nishiki.formats.stored import channel_bits
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.mesh import Mesh, face_vectors
 from nishiki.geometry.visibility import interpolate, rasterise
@@ -236,7 +237,7 @@ def write(folder, scene, *, lights=("",), hold_out=()):
         valid = np.random.default_rng(index).random(view.shown.shape) > 0.01
         masks.append(valid & view.shown)
         for light in range(len(lights)):
-            saturated = ~valid[..., None] & (picture > 0.5)
+            saturated = ~valid[..., None] & (picture > 0.5) & np.array([False, True, False])
             writer.pictures(view, light, {"total": picture * (1 + light)}, valid, saturated)
     return writer.finish(), masks
 
@@ -260,7 +261,8 @@ def test_store_round_trip(scene, tmp_path):
         assert stack.shape == (2 * views, SIZE, SIZE, 3)
         assert not visible[:, ~inside].any()
         assert not visible[texels.held_out].any()
-        saturated = texels.bounds(tile) > 0
+        saturated = texels.bounds(tile) == channel_bits(3)[1]
+        np.testing.assert_array_equal(saturated, texels.bounds(tile) > 0)
         assert not (visible & saturated).any()
         assert (stack[~visible & ~saturated] == 0).all()
         assert not saturated[texels.held_out].any()
@@ -392,3 +394,8 @@ def test_packed_boxes_are_apart(boxes):
         assert tile[row : row + rows, column : column + columns].shape == (rows, columns)
         tile[row : row + rows, column : column + columns] += 1
     assert all(tile.max() == 1 for tile in tiles.values())
+
+
+def test_channels_from_the_seventh_on_share_a_bit():
+    assert channel_bits(1).tolist() == [1]
+    assert channel_bits(9).tolist() == [1, 2, 4, 8, 16, 32, 64, 64, 64]

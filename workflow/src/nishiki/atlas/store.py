@@ -16,7 +16,7 @@ from nishiki.geometry.mesh import Mesh
 
 STORE = "texels.zarr"
 ATLAS = "atlas.npz"
-FORMAT = 1  # of the file; readers refuse others
+FORMAT = 2  # of the file; readers refuse others
 
 
 @dataclass(frozen=True)

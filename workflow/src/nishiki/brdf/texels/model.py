@@ -29,7 +29,7 @@ from nishiki.geometry.camera import Camera
 KINDS = ("camera", "direction", "position", "environment", "unknown")
 POINT, DISTANT, ENVIRONMENT = 0, 1, 2
 HARMONICS = 9  # 1, x, y, z, xy, yz, zx, x^2 - y^2, 3 z^2 - 1
-MOST_GLOSS = np.float32(0.15)  # over diffuse light
+HALF_GLOSS = np.float32(0.15)  # over diffuse light, at which the weight of a view is one half
 UNITS_IN_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
 TO_LAMP_FRAME = np.diag([1.0, -1.0, -1.0])  # from the camera frame with y down and z into the scene
 
@@ -136,7 +136,7 @@ def predict(
 
     kd, ks: (..., channels); sigma: (...), radians >= 0; positions, normals: (..., 3) in the object's frame, normals of
     unit length; camera_centre: (3,).  Linear, relative: 1 is a white diffuser that faces the lamp.  Miyazaki et al.
-    (2007), eq. 6 and 8.
+    (2007), eq. 6, and eq. 8 with `facet_lobe`.
     """
     kd, ks, sigma = (np.asarray(a, np.float32) for a in (kd, ks, sigma))
     irradiance, angles = factors(positions, normals, camera_centre, lamp, kd.shape[-1])
@@ -155,11 +155,11 @@ def facet_lobe(squared_angle: np.ndarray, sigma: np.ndarray | float) -> np.ndarr
 
 
 def weigh_lender(diffuse: np.ndarray, gloss: np.ndarray) -> np.ndarray:
-    """Compute the weight (n,) float32, 0.001 to 1, with which a view lends what the model (n, channels) lacks in it.
+    """Compute the weight (n,) float32 of a view's residual, 1 / (1 + (gloss / (HALF_GLOSS diffuse))^2), 0.001 to 1.
 
-    Half at MOST_GLOSS: what is lacking of a highlight moves with the view.
+    diffuse, gloss (n, channels): of the model in that view. A residual in a highlight is wrong in other views.
     """
-    ratio = gloss.sum(axis=-1) / np.maximum(MOST_GLOSS * diffuse.sum(axis=-1), _TINY)
+    ratio = gloss.sum(axis=-1) / np.maximum(HALF_GLOSS * diffuse.sum(axis=-1), _TINY)
     return 1 / (1 + np.square(np.minimum(ratio, np.float32(30))))
 
 

@@ -25,7 +25,7 @@ FAR = 1 << 16  # cells from the world's origin: half of it is near
 DEFAULT_SIGMA = 0.2  # radians, where no highlight was seen on the whole object
 PULLS = (512.0, 64.0, 8.0, 1.0, 0.1)
 """Numbers of texels as which the neighbours may count; the first is used where too few views show the trial's tiles."""
-FIRST_PULL = 64.0  # of the lobes that saturated values are compared with
+FIRST_PULL = 64.0  # of the neighbours whose lobes decide which saturated values count
 JUDGED = 8  # approximate number of tiles in the trial
 LEAST_POWER = 0.04  # observations at a lobe's peak below which a texel's own K_s is taken to say nothing
 
@@ -90,7 +90,8 @@ def _choose_pull(
 ) -> float:
     """Choose the pull whose fit to two thirds of the views predicts the others best, on some tiles.
 
-    Of three captured views in a row the middle one is hidden, and predicted by the model and what the two others lend.
+    Of three captured views in a row the middle one is hidden, and predicted by the model plus the
+    residuals of the two others, weighed as the renderer weighs them.
     """
     captured = np.flatnonzero(np.any([tile.visible.any(axis=(1, 2)) for tile in map(read, tiles)], axis=0))
     rows = list(zip(captured[::3], captured[1::3], captured[2::3], strict=False))
@@ -130,7 +131,7 @@ def _gather(
 ) -> tuple[Neighbourhood, int]:
     """Spread the profiles of all texels over a lattice; return their number of channels too.
 
-    Saturated values follow in a second pass, those that exceed the lobes of the first.
+    A second pass adds the saturated values above the body and the lobes of the first.
     """
 
     def spread_tile(number: int, gloss: "_Gloss | None" = None) -> tuple:
@@ -141,15 +142,18 @@ def _gather(
         columns = profile.columns
         values, weights = np.zeros((tile.inside.size, columns.shape[1])), np.zeros(tile.inside.size)
         values[total.texel], weights[total.texel] = columns, 1
-        return spread(tile.positions.reshape(-1, 3)[surface], values[surface], weights[surface], lattice)
+        part = spread(tile.positions.reshape(-1, 3)[surface], values[surface], weights[surface], lattice)
+        return part, tile.values.shape[-1], tile.saturated is not None and bool(tile.saturated.any())
 
-    def spread_all(spread_one: Callable[[int], tuple]) -> Neighbourhood:
-        parts = list(in_threads(spread_one, tiles, threads))
-        return Neighbourhood(lattice, parts[0][1].shape[1] - 1 if parts else len(WIDTHS), parts)
+    def spread_all(spread_one: Callable[[int], tuple]) -> tuple[Neighbourhood, int, bool]:
+        spread_out = list(in_threads(spread_one, tiles, threads))
+        parts = [part for part, _, _ in spread_out]
+        around = Neighbourhood(lattice, parts[0][1].shape[1] - 1 if parts else len(WIDTHS), parts)
+        return around, spread_out[0][1] if parts else 1, any(saturated for _, _, saturated in spread_out)
 
-    around, channels = spread_all(spread_tile), read(tiles[0]).values.shape[-1] if tiles else 1
-    if any(tile.saturated is not None and tile.saturated.any() for tile in map(read, tiles)):
-        around = spread_all(partial(spread_tile, gloss=_Gloss.of(around, channels, FIRST_PULL)))
+    around, channels, saturated = spread_all(spread_tile)
+    if saturated:
+        around, *_ = spread_all(partial(spread_tile, gloss=_Gloss.of(around, channels, FIRST_PULL)))
     return around, channels
 
 
@@ -180,7 +184,7 @@ class _Gloss:
 def _observe(tile: Tile, capture: CaptureViews, gloss: _Gloss | None) -> tuple[TileSamples, LobeProfile]:
     """Gather a tile's total radiance, and the profiles of its texels, from the specular component where it has one.
 
-    A saturated value is a lower bound: it counts where the neighbours' lobes stay below.
+    A saturated value is a lower bound: it counts where body and neighbours' lobes stay below.
     """
     own, specular = capture.observe(tile)
     total = own if specular is None else capture.observe(tile.joined)[0]
@@ -278,7 +282,8 @@ def lambert_tile(tile: Tile, capture: CaptureViews) -> Parameters:
     kd = np.zeros((tile.inside.size, channels), np.float32)
     kd[total.texel] = texel_fit.lambert(total)
     flags = np.full(tile.inside.size, TexelFlag.UNSEEN | TexelFlag.NO_HIGHLIGHT, np.uint8)
-    flags[total.texel] = TexelFlag.NO_HIGHLIGHT | np.where(total.seen < 2, TexelFlag.ONCE, 0)
+    told = TexelFlag.NO_HIGHLIGHT | np.where(total.seen < 2, TexelFlag.ONCE, 0)
+    flags[total.texel] = np.where(total.seen > 0, told, flags[total.texel])
     flags[~tile.inside.ravel()] = TexelFlag.OUTSIDE
     flags = flags.reshape(shape)
     known = (flags & (TexelFlag.OUTSIDE | TexelFlag.UNSEEN)) == 0

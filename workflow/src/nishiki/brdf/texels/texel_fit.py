@@ -29,8 +29,8 @@ class TileSamples:
     texel (points,) int32: row * T + column.  values (points, slots, channels).  diffuse (points, slots): what
     multiplies K_d.  attenuation: what multiplies K_s and the lobe, 0 where the lamp is behind.  alpha (points, slots):
     radians.  weights: cos(theta_r), times the squared slope of the encoding where asked; 0 in unused slots.
-    view (points, slots) int32: which observation a slot holds, -1 none.  saturated (points, slots, channels) bool: of
-    which the value is a lower bound.
+    view (points, slots) int32: which observation a slot holds, -1 none.  saturated (points, slots, channels) bool:
+    whose value is a lower bound.
     """
 
     texel: np.ndarray
@@ -44,7 +44,7 @@ class TileSamples:
 
     @property
     def certain(self) -> np.ndarray:
-        """Weights (points, slots, channels), 0 of saturated values; (points, slots, 1) where none is known to be."""
+        """Weights (points, slots, channels), 0 of saturated values; (points, slots, 1) without bounds."""
         weights = self.weights[..., None]
         return weights if self.saturated is None else np.where(self.saturated, np.float32(0), weights)
 
@@ -127,7 +127,7 @@ class Tile:
     normals: np.ndarray
     inside: np.ndarray  # (T, T)
     specular: np.ndarray | None = None
-    # (M, T, T) uint8: `channel_bits` whose value is a lower bound, where the texel is not visible; None: nowhere
+    # (M, T, T) uint8: bits of the saturated channels (`channel_bits`), whose values are lower bounds; None: no bounds
     saturated: np.ndarray | None = None
 
     @property
@@ -158,7 +158,10 @@ class Tile:
 
 @dataclass(frozen=True)
 class Sample:
-    """Texels picked evenly: positions, normals (n, 3); values (n, M, channels) total radiance; visible (n, M)."""
+    """Texels picked evenly: positions, normals (n, 3); values (n, M, channels) total radiance; visible (n, M).
+
+    Where a texel is saturated in some view, all channels hold the one that is so in the fewest.
+    """
 
     positions: np.ndarray
     normals: np.ndarray
@@ -190,7 +193,7 @@ def sample_texels(read: Callable[[int], Tile], tiles: list[int], count: int) -> 
 def _pick_channels(tile: Tile, picked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return values (n, M, channels) of texels and where they are known (n, M).
 
-    Where a texel is saturated in some view, the channel that is so in fewest views stands for all channels.
+    Where a texel is saturated in some view, the channel that is so in the fewest views is used for all channels.
     """
 
     def of_picked(part: np.ndarray) -> np.ndarray:
@@ -289,7 +292,7 @@ class LobeProfile:
     ) -> "LobeProfile":
         """Sum the observations of each texel: of its specular component, where there is one, without K_d.
 
-        weights (points, slots, channels or 1): of the values, those that are certain if None.
+        weights (points, slots, channels or 1): of the values, `certain` if None.
         """
         data = total if specular is None else specular
         weights, values = (data.certain if weights is None else weights).astype(np.float64), data.values
@@ -313,7 +316,7 @@ class LobeProfile:
 
     @classmethod
     def from_columns(cls, columns: np.ndarray, channels: int) -> "LobeProfile":
-        """Make a profile of the `columns` of one with so many channels."""
+        """Make a profile from `columns`; channels: of the capture."""
         parts = np.split(columns, [columns.shape[1] - channels * len(WIDTHS)], axis=1)
         return cls(*(part.reshape(len(part), len(WIDTHS), part.shape[1] // len(WIDTHS)) for part in parts))
 

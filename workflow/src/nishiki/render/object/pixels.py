@@ -41,7 +41,7 @@ def mix(residual: np.ndarray, visible: np.ndarray, weights: np.ndarray) -> np.nd
     """
     share = weights[:, None] * visible
     total = share.sum(axis=0)
-    share = np.where(total > 1e-6, share / np.maximum(total, 1e-6), (weights / weights.sum())[:, None])
+    share = np.where(total > 0, share / np.where(total > 0, total, 1), (weights / weights.sum())[:, None])
     return np.einsum("nm,nmc->mc", share.astype(np.float32), residual)
 
 
@@ -49,7 +49,7 @@ BESIDE = 2  # texels
 
 
 def find_borders(shown: np.ndarray, inside: np.ndarray) -> np.ndarray:
-    """Find texels (T * T,) bool within BESIDE of both shown and hidden ones of those inside charts (T, T)."""
+    """Find a tile's texels (T * T,) bool within BESIDE of both shown and hidden ones, of those inside (T, T) charts."""
     import cv2
 
     shown, around = shown.reshape(inside.shape), np.ones((2 * BESIDE + 1, 2 * BESIDE + 1), np.uint8)

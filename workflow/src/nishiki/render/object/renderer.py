@@ -40,7 +40,7 @@ from nishiki.threads import threads as given_threads
 
 UNSURE = np.float32(0.02)
 """Weight of a view in which a texel is in the light and here is not, or the other way, and of one that shows it beside
-an edge or the border of a shadow, where a wrong surface puts the values of another place."""
+an edge or the border of a shadow: there a small error of the surface shows another place."""
 MOST_PLACES, MOST_BANDS = 1 << 14, 4  # in one look-up by OpenCV, which takes fewer than 2**15 and at most 4
 FOLD_PX = 12
 """Pixels by which a picture is carried over places turned away from the camera: folds of a hull, and steps that it has
@@ -322,7 +322,7 @@ class ObjectRenderer:
         if self.pictures is None:  # texels that no view sees were solved for too
             return coded + mixed
         total = (weights[:, None] * seen).sum(axis=0)
-        return coded + np.where(total > 1e-6, 1, 0)[:, None] * mixed
+        return coded + np.where(total > 0, 1, 0)[:, None] * mixed
 
     def _lend(self, key: tuple[int, int], flat: DecodedTile) -> np.ndarray:
         """Return (T * T, 2 + channels) float32 in a view and light: lit, how well seen, view minus shadowed model."""
@@ -337,8 +337,8 @@ class ObjectRenderer:
         diffuse, gloss = self._predict(flat, slice(None), camera, lamp)
         model = encode(diffuse + gloss, self.encoding)
         seen *= weigh_lender(diffuse, lit[:, None] * gloss)
-        for shown in (lit, seen):
-            seen[find_borders(shown > 0, flat.inside)] *= UNSURE
+        for border in [find_borders(each > 0, flat.inside) for each in (lit, seen)]:
+            seen[border] *= UNSURE
         if self.pictures is not None and self.ceiling is not None:  # the picture ends there, too
             model = np.minimum(model, encode(np.array(self.ceiling, np.float32), self.encoding))
         lent = -model * lit[:, None]

@@ -63,7 +63,7 @@ OBJECT_LIMITS = (
 )
 
 
-class ObjectBrdfSettings(Guarded, stage="object_brdf", version=12, limits=OBJECT_LIMITS):
+class ObjectBrdfSettings(Guarded, stage="object_brdf", version=13, limits=OBJECT_LIMITS):
     """Lambert's term and a lobe of facets at every texel of an object."""
 
     lighting: Literal["auto", "camera", "fitted"] = Field(
@@ -95,7 +95,7 @@ OBJECT_OUTPUTS = (  # (tile, row, column[, channel])
         "flags",
         "uint8",
         "bits",
-        "1 outside of the chart, 2 never seen, 4 once, 8 never near a highlight, 16 gloss of neighbours",
+        "1 outside of the chart, 2 no certain value, 4 once, 8 never near a highlight, 16 gloss of neighbours",
     ),
 )
 

@@ -62,7 +62,7 @@ OBJECT_LIMITS = (
 )
 
 
-class ObjectEvaluateSettings(Guarded, stage="object_evaluate", version=5, limits=OBJECT_LIMITS):
+class ObjectEvaluateSettings(Guarded, stage="object_evaluate", version=6, limits=OBJECT_LIMITS):
     """The decoded object against its photographs, and its size."""
 
     pictures: int = Field(3, ge=0, le=64, description="captured views shown beside their photographs, evenly spread")

@@ -119,7 +119,7 @@ OBJECT_LIMITS = (  # of textures that all formats have in common
 )  # fmt: skip
 
 
-class ObjectExportSettings(Guarded, stage="object_export", version=3, limits=OBJECT_LIMITS):
+class ObjectExportSettings(Guarded, stage="object_export", version=4, limits=OBJECT_LIMITS):
     """Files of an object for other programs."""
 
     formats: tuple[ObjectFormat, ...] = Field(

@@ -1,6 +1,7 @@
 """Convert an object's appearance for formats of scenes: one texture for all charts, colour, roughness and gloss.
 
-The lobe K_s / n.v (1 + a^2 / (4 s^2))^-2, relative to a white that faces the lamp, is that of Trowbridge and Reitz:
+The lobe K_s / n.v (1 + a^2 / (4 s^2))^-2, relative to a white that faces the lamp, is for small angles
+that of Trowbridge and Reitz:
 
     alpha = 2 s,      w F0 = 4 alpha^2 K_s
 

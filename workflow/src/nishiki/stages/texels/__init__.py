@@ -50,7 +50,7 @@ OUTPUTS = (
     Output("positions", "float32", "of the capture", "place of each texel, 0 outside the surface", "tile row column 3"),
     Output("normals", "float32", "unit vector", "of the surface, 0 outside it", "tile row column 3"),
     Output(
-        "visible", "uint8", "", "0: not seen, 1: valid; 2, 4, ..: saturated channels",
+        "visible", "uint8", "", "1: seen, 2, 4, ..: saturated channels; 1 alone: valid",
         "observation tile row column",
     ),
     Output(

@@ -34,7 +34,7 @@ PAINTING = Stage(
 )
 
 
-class ObjectViewerSettings(Guarded, stage="object_viewer", version=1):
+class ObjectViewerSettings(Guarded, stage="object_viewer", version=2):
     """A page on which the object turns, offline."""
 
     inline_mb: float = Field(6, ge=0, le=100, description="up to this size the page is one file")
