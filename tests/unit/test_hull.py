@@ -177,6 +177,33 @@ def test_signed_distance_of_a_half_plane_and_of_masks_without_outline():
         assert ((found > 0) == value).all()
 
 
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.8])
+def test_signed_distance_follows_the_cover_of_a_pixel(share):
+    cover = np.zeros((40, 50), np.uint8)
+    cover[:, 20], cover[:, 21:] = round(255 * share), 255
+    expected = np.arange(50) - 20.5 + share
+    np.testing.assert_allclose(signed_distance(cover)[:, 4:-4], np.tile(expected[4:-4], (40, 1)), atol=0.2)
+
+
+def test_a_thin_ring_is_carved_as_thick_as_it_is_from_covers():
+    """A ring of 5 pixels: masks of whole pixels make it thinner, since the hull keeps the least of all views."""
+    import cv2
+
+    cameras, area = turn(), cv2.INTER_AREA
+    closer = [enlarged(camera, 3) for camera in cameras]
+    fine = [torus(camera, small=0.045) for camera in closer]
+    covers = [np.round(255 * cv2.resize(each.astype(np.float32), (COLUMNS, ROWS), interpolation=area)) for each in fine]
+    covers = [cover.astype(np.uint8) for cover in covers]
+    whole = [cover > 127 for cover in covers]
+    true, found, less = (
+        shape_of(carve(masks, views, cells=192).mesh)
+        for masks, views in ((fine, closer), (covers, cameras), (whole, cameras))
+    )
+    assert (true.genus, found.genus) == (1, 1)
+    assert found.volume / true.volume == pytest.approx(1.01, abs=0.02)
+    assert less.volume / true.volume < 0.96
+
+
 def test_bad_silhouettes_are_reported():
     cameras = turn(4)
     masks = [sphere(camera) for camera in cameras]

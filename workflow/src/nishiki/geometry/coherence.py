@@ -223,11 +223,10 @@ def _scale_turn(cameras: list[Camera], factor: float) -> list[Camera] | None:
     moved = scale_turn(np.array([camera.matrix for camera in cameras]), centres, factor)
     if moved is None:
         return None
-    rebuilt = [
-        Camera.from_matrix(camera.name, matrix, rows=camera.rows, columns=camera.columns)
-        for camera, matrix in zip(cameras, moved, strict=True)
+    return [
+        replace(Camera.from_matrix(c.name, matrix, rows=c.rows, columns=c.columns), distortion=c.distortion)
+        for c, matrix in zip(cameras, moved, strict=True)
     ]
-    return [replace(new, distortion=camera.distortion) for new, camera in zip(rebuilt, cameras, strict=True)]
 
 
 def _orders(outlines: Outlines) -> list[Attempt]:
@@ -271,13 +270,9 @@ def _mirror(camera: Camera, axes: tuple[int, ...]) -> Camera:
 
 def _scale_intrinsics(outlines: Outlines, kind: str, factors: Sequence[float], columns: int) -> list[Attempt]:
     """Multiply the first columns of the first two rows of the intrinsics by each factor."""
-    trials = []
-    for factor in factors:
-        scale = np.ones((3, 3))
-        scale[:2, :columns] = factor
-        cameras = [replace(camera, intrinsics=camera.intrinsics * scale) for camera in outlines.cameras]
-        trials.append(Attempt(Correction(kind, f"{factor:.3g}"), cameras=cameras))
-    return trials
+    place = np.add.outer((0, 0, 3), np.arange(3)) < columns
+    scaled = [[replace(c, intrinsics=c.intrinsics * np.where(place, f, 1)) for c in outlines.cameras] for f in factors]
+    return [Attempt(Correction(kind, f"{f:.3g}"), cameras=cameras) for f, cameras in zip(factors, scaled, strict=True)]
 
 
 def _steps(outlines: Outlines) -> list[Attempt]:

@@ -15,15 +15,16 @@ from nishiki.errors import UserError
 from nishiki.geometry.camera import Camera
 from nishiki.geometry.hull_kernels import MOST_MISSES, cut_slab, fill_slab
 from nishiki.geometry.mesh import Mesh
+from nishiki.geometry.silhouettes import HALF, inside_of
 from nishiki.installation import optional
 from nishiki.threads import in_threads
 
-BLOCK = 8
-"""Grid points along a cube that is decided at once where it can be."""
+BLOCK = 8  # grid points along a cube that is decided at once where it can be
 VIEWS_A_MISS = 30  # views for one that may wrongly see background
 BAND = 3.0
 """Cells around the surface within which distances are kept as they are; beyond, only the sign counts."""
 SMOOTHING_PX = 0.7
+FINER = 3  # steps of a pixel in which the outline of a cover is found
 VOTES = 2  # views that must see beside a part to cut it
 MARGIN_PX = 3
 
@@ -102,17 +103,19 @@ class Hull:
 def signed_distance(silhouette: np.ndarray) -> np.ndarray:
     """Compute the distance in pixels to the outline of a mask, positive inside: (rows, columns) float32.
 
-    The outline of a mask runs between the centres of its pixels and those outside; steps of a pixel are smoothed away
-    (Gaussian, 0.7 pixels) so that slanted outlines come out straight.
+    The outline of a mask runs between the centres of its pixels and those outside, that of a cover (uint8) where it is
+    one half; steps of a pixel are smoothed away (Gaussian, 0.7 pixels) so that slanted outlines come out straight.
     """
     import cv2
 
-    inside = np.ascontiguousarray(silhouette, np.uint8)
-    within = cv2.distanceTransform(np.pad(inside, 1, mode="edge"), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    outside = cv2.distanceTransform(np.pad(1 - inside, 1, mode="edge"), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    distance = np.where(inside > 0, within[1:-1, 1:-1] - 0.5, 0.5 - outside[1:-1, 1:-1])
+    finer = FINER if silhouette.dtype == np.uint8 else 1
+    if finer > 1:
+        silhouette = cv2.resize(silhouette, None, fx=finer, fy=finer, interpolation=cv2.INTER_LINEAR) > HALF
+    inside = np.pad(silhouette.astype(np.uint8), 1, mode="edge")
+    within, outside = (cv2.distanceTransform(s, cv2.DIST_L2, cv2.DIST_MASK_PRECISE) for s in (inside, 1 - inside))
+    distance = np.where(inside > 0, within - 0.5, 0.5 - outside)[1:-1, 1:-1]
     # A mask without an outline has no nearest pixel: OpenCV answers with a huge number.
-    distance = np.clip(distance, -1e6, 1e6).astype(np.float32)
+    distance = np.clip(distance[finer // 2 :: finer, finer // 2 :: finer] / finer, -1e6, 1e6).astype(np.float32)
     return cv2.GaussianBlur(distance, (0, 0), SMOOTHING_PX)
 
 
@@ -131,10 +134,11 @@ def field_of(
         if silhouette.shape != (camera.rows, camera.columns):
             size = f"{camera.rows} x {camera.columns}"
             raise UserError(f"view {camera.name!r}: expected a silhouette of {size} pixels, found {silhouette.shape}")
-        area = _area_of(silhouette, camera)
+        mask = inside_of(silhouette)
+        area = _area_of(mask, camera)
         stride = max(1, int(finest_px))
-        distance = signed_distance(silhouette[area])[::stride, ::stride]
-        touches = silhouette[0].any() or silhouette[-1].any() or silhouette[:, 0].any() or silhouette[:, -1].any()
+        distance = signed_distance((silhouette if finest_px < 1 else mask)[area])[::stride, ::stride]
+        touches = mask[0].any() or mask[-1].any() or mask[:, 0].any() or mask[:, -1].any()
         frames.append([start, area[0].start, area[1].start, *distance.shape, stride, int(touches)])
         maps.append(distance.ravel())
         start += distance.size
@@ -154,11 +158,8 @@ def _area_of(silhouette: np.ndarray, camera: Camera) -> tuple[slice, slice]:
         raise UserError(
             f"view {camera.name!r}: its silhouette is empty. Remedy: give a mask or a background, or omit the view"
         )
-
-    def span(occupied: np.ndarray, size: int) -> slice:
-        return slice(max(0, occupied[0] - MARGIN_PX), min(size, occupied[-1] + 1 + MARGIN_PX))
-
-    return span(rows, silhouette.shape[0]), span(columns, silhouette.shape[1])
+    first, last = (slice(max(0, each[0] - MARGIN_PX), each[-1] + 1 + MARGIN_PX) for each in (rows, columns))
+    return first, last
 
 
 def bounding_box(silhouettes: Sequence[np.ndarray | None], cameras: list[Camera], *, misses: int = 0) -> np.ndarray:
@@ -293,7 +294,7 @@ def usual_misses(views: int) -> int:
 
 
 def carve(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, cells: int = 256, misses: int = 0) -> Hull:
-    """Carve the visual hull of silhouettes, list of (rows, columns) bool arrays or None, one per camera.
+    """Carve the visual hull of silhouettes, (rows, columns) bool (inside) or uint8 (cover), or None, one per camera.
 
     cells: grid cells along the longest side of the `bounding_box`; misses: views (up to 4) that may see background
     where the body is: with 1, no single wrong mask can carve anything away.
@@ -301,7 +302,8 @@ def carve(silhouettes: list[np.ndarray | None], cameras: list[Camera], *, cells:
     """
     if not 0 <= misses <= MOST_MISSES:
         raise ValueError(f"misses: expected 0 to {MOST_MISSES}, found {misses}")
-    box = bounding_box(silhouettes, cameras, misses=misses)
+    masks = [None if each is None else inside_of(each) for each in silhouettes]
+    box = bounding_box(masks, cameras, misses=misses)
     cell = float((box[1] - box[0]).max()) / cells
     origin = box[0] - 2.5 * cell
     shape = tuple(int(n) for n in np.ceil((box[1] - box[0]) / cell) + 6)

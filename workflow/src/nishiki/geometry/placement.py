@@ -11,8 +11,7 @@ from nishiki.geometry.visibility import rasterise
 
 UNSURE_PX = 2.0
 MIDDLE, LEAST_PX = 0.7, 1.5
-"""Share of the depth of a part that is narrower than twice UNSURE_PX and a cell, and pixels, from which a pixel lies in
-its middle."""
+"""Share of the depth of a part narrower than twice UNSURE_PX and a cell, and pixels, from which its middle begins."""
 
 
 def outline_of(mesh: Mesh, camera: Camera) -> np.ndarray:
@@ -49,9 +48,8 @@ def find_overruled(loose: Mesh, camera: Camera, mask: np.ndarray, unsure: np.nda
     """
     import cv2
 
-    unsure = (
-        cv2.dilate(unsure.astype(np.uint8), _disc(int(UNSURE_PX))) > 0
-    )  # bridges gaps between dark pixels and small parts
+    # bridges gaps between dark pixels and small parts
+    unsure = cv2.dilate(unsure.astype(np.uint8), _disc(int(UNSURE_PX))) > 0
     covered = outline_of(loose, camera)
     depth = float(np.median(camera.project(loose.vertices)[1]))
     cell_px = cell * float(np.sqrt(abs(np.linalg.det(camera.intrinsics)))) / max(depth, 1e-300)

@@ -32,9 +32,12 @@ NEAR = 1.5
 """Distance (in spreads of the background) below which a hole is background."""
 LOWEST_LEVEL, HIGHEST_LEVEL = 1.5, 6.0
 REACH_PX = 2
+HALF = 127  # largest cover of the background
 DARKEST_RIM = 0.1
 """Smallest share of the light a little further inside to which the object's rim is taken to darken."""
-RIM_ROOT, LEAST_VARIANCE = 0.5, 0.02  # square root of the rim's depth, pixels; where all depths inside are alike
+RIM_ROOT = 0.5  # square root of the rim's depth, pixels
+ROUND, ROUND_VARIANCE = 0.5, 0.05
+"""Slope expected, of that of a round part whose rim is black, and the variance of roots that it counts for."""
 SHADOW = 0.55
 """Cube root of the smallest share of the light that a shadow leaves."""
 WORKING_PIXELS = 1_000_000
@@ -46,12 +49,17 @@ class Silhouette:
     """The silhouette of one picture."""
 
     mask: np.ndarray  # (rows, columns) bool
-    # median over the outline of the colour difference between the two sides, in spreads of the background (below 2
-    # the outline is a guess)
+    cover: np.ndarray  # (rows, columns) uint8, share of each pixel that the object covers, 255: all
+    # median colour difference of the outline's two sides, in spreads of the background (below 2 the outline is a guess)
     separation: float
     parts: int  # connected parts kept
     dropped: np.ndarray  # (rows, columns) bool, small parts that were removed: dust, or the object cut off by a shadow
     holes: int  # pixels of background visible through the object
+
+
+def inside_of(silhouette: np.ndarray) -> np.ndarray:
+    """Find the pixels (rows, columns) bool inside a silhouette, of bool (inside) or uint8 (cover)."""
+    return silhouette > HALF if silhouette.dtype == np.uint8 else silhouette
 
 
 def display(linear: np.ndarray) -> np.ndarray:
@@ -82,14 +90,16 @@ def segment(picture: np.ndarray, *, background: str = "auto") -> Silhouette:
     colours = background_colours(small, background)
     distance = background_distance(small, colours)
     mask, _, dropped, _ = tidy(cv2.GaussianBlur(distance, (0, 0), 0.8) > best_level(distance), distance)
-    mask = at_half_cover(small, mask)
-    mask, parts, crumbs, holes = tidy(mask, distance)
+    cover = cover_of(small, mask)
+    mask, parts, crumbs, holes = tidy(cover > HALF, distance)
     dropped, separation = dropped | crumbs, _separation(mask, distance)
     if shrink < 1:
         dropped = cv2.resize(dropped.astype(np.uint8), picture.shape[1::-1], interpolation=cv2.INTER_NEAREST) > 0
         soft = cv2.resize(mask.astype(np.float32), picture.shape[1::-1], interpolation=cv2.INTER_LINEAR)
-        mask = at_half_cover(picture, soft > 0.5, reach=int(np.ceil((REACH_PX + 1) / shrink)))
-    return Silhouette(mask, separation, parts, dropped & ~mask, holes)
+        cover = cover_of(picture, soft > 0.5, reach=int(np.ceil((REACH_PX + 1) / shrink)))
+        mask = cover > HALF
+    cover = np.where(mask == (cover > HALF), cover, mask * np.uint8(255))
+    return Silhouette(mask, cover, separation, parts, dropped & ~mask, holes)
 
 
 def live_area(picture: np.ndarray) -> tuple[slice, slice]:
@@ -106,11 +116,9 @@ def live_area(picture: np.ndarray) -> tuple[slice, slice]:
     dead_columns = np.percentile(bright, 90, axis=0) < limit
 
     def span(dead: np.ndarray) -> slice:
-        # Strips are narrow: a dark half of the picture is background, not a strip.
-        most = len(dead) // 12
-        first = int(np.argmin(dead[:most])) if not dead[:most].all() else 0
-        last = int(np.argmin(dead[::-1][:most])) if not dead[::-1][:most].all() else 0
-        return slice(first, len(dead) - last)
+        # Strips are narrow: a dark half of the picture is background, not a strip. argmin is 0 where all are dead.
+        most = max(1, len(dead) // 12)
+        return slice(int(np.argmin(dead[:most])), len(dead) - int(np.argmin(dead[::-1][:most])))
 
     return span(dead_rows), span(dead_columns)
 
@@ -171,15 +179,8 @@ def background_colours(picture: np.ndarray, background: str) -> Colours:
 def _fits(samples: np.ndarray, background: str) -> np.ndarray:
     """Mark the border's colours (n, 3) that can be the named background."""
     light, a, b = samples.T
-    if background == "dark":
-        return light < 16 + 45
-    if background == "bright":
-        return light > 16 + 55
-    if background == "blue":
-        return (b < -5) & (b < a)
-    if background == "green":
-        return (a < -5) & (a < b)
-    return np.ones(len(samples), bool)
+    named = {"dark": light < 61, "bright": light > 71, "blue": (b < -5) & (b < a), "green": (a < -5) & (a < b)}
+    return named.get(background, np.ones(len(samples), bool))
 
 
 def background_distance(picture: np.ndarray, colours: Colours) -> np.ndarray:
@@ -213,32 +214,32 @@ def best_level(distance: np.ndarray) -> float:
     return float(np.exp(levels[int(np.argmax(steepness))]) - 0.5)
 
 
-def at_half_cover(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_PX) -> np.ndarray:
-    """Compute the mask whose outline runs where the object covers half a pixel.
+def cover_of(picture: np.ndarray, mask: np.ndarray, *, reach: int = REACH_PX) -> np.ndarray:
+    """Compute the share of each pixel that the object covers, (rows, columns) uint8, 255: all.
 
     Lenses and video mix the colours of both sides over a few pixels, and a small share of the object suffices to look
     unlike the background. Within `reach` pixels of the outline the share is estimated from the colours of both sides.
     The background's is the mean a little further outside. The object's is carried on to the outline: a surface that
     turns away from a lamp beside the camera darkens as the square root of the depth d within the outline, so that
     a + b sqrt(d) is fitted a little further inside; a plain mean there would take the dark rim for background and put
-    the outline too far inside. Depths count from the outline, so this is done twice. Where the object is too thin to
-    have an inside, the mask stays.
+    the outline too far inside. A thin part has no range of depths: there the fit is drawn to half of the slope with
+    which the rim were black. Depths count from the outline, so this is done twice. Without an inside the mask stays.
     """
     from nishiki.colour.colour import decode
 
+    cover = mask * np.uint8(255)
     if not mask.any():
-        return mask
+        return cover
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     area = tuple(slice(max(0, each[0] - 6 * reach), each[-1] + 1 + 6 * reach) for each in (rows, columns))
     light = decode(picture[area].astype(np.float32) / 255, "srgb")
-    moved = mask.copy()
     for _ in range(2):
-        moved[area] = _move_to_half_cover(light, moved[area], reach)
-    return moved
+        cover[area] = _estimate_cover(light, cover[area] > HALF, reach)
+    return cover
 
 
-def _move_to_half_cover(light: np.ndarray, mask: np.ndarray, reach: int) -> np.ndarray:
-    """Make one step of `at_half_cover`, on linear light (rows, columns, 3)."""
+def _estimate_cover(light: np.ndarray, mask: np.ndarray, reach: int) -> np.ndarray:
+    """Make one step of `cover_of`, on linear light (rows, columns, 3)."""
     import cv2
 
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * reach + 1, 2 * reach + 1))
@@ -254,19 +255,19 @@ def _move_to_half_cover(light: np.ndarray, mask: np.ndarray, reach: int) -> np.n
     weight = inside[known, None]
     back = around(light * outer[..., None])[known] / outside[known, None]
     mean_root = around(root)[known, None] / weight
-    variance = np.maximum(around(root * root)[known, None] / weight - mean_root**2, 0) + LEAST_VARIANCE
+    variance = np.maximum(around(root * root)[known, None] / weight - mean_root**2, 0)
     mean = around(light * inner[..., None])[known] / weight
-    slope = (around(light * root[..., None])[known] / weight - mean_root * mean) / variance
+    slope = around(light * root[..., None])[known] / weight - mean_root * mean
+    slope = (slope + ROUND_VARIANCE * ROUND * mean / mean_root) / (variance + ROUND_VARIANCE)
     at_rim = mean - slope * (mean_root - RIM_ROOT)
-
     across = mean - back
     square = np.einsum("nk,nk->n", across, across)
     apart = np.maximum(square, 1e-9)
     darkened = np.clip(np.einsum("nk,nk->n", at_rim - back, across) / apart, DARKEST_RIM, 1)
     cover = np.einsum("nk,nk->n", light[known] - back, across) / (apart * darkened)
-    moved = mask.copy()
-    moved[known] = np.where(square > 1e-4, cover > 0.5, mask[known])
-    return moved
+    out = mask * np.uint8(255)
+    out[known] = np.where(square > 1e-4, np.round(255 * np.clip(cover, 0, 1)), out[known])
+    return out
 
 
 def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, np.ndarray, int]:
@@ -299,9 +300,8 @@ def tidy(mask: np.ndarray, distance: np.ndarray) -> tuple[np.ndarray, int, np.nd
 def _separation(mask: np.ndarray, distance: np.ndarray) -> float:
     import cv2
 
-    kernel = np.ones((5, 5), np.uint8)
-    grown, shrunk = cv2.dilate(mask.astype(np.uint8), kernel), cv2.erode(mask.astype(np.uint8), kernel)
-    within, beyond = mask & (shrunk == 0), ~mask & (grown > 0)
+    kernel, solid = np.ones((5, 5), np.uint8), mask.astype(np.uint8)
+    within, beyond = mask & (cv2.erode(solid, kernel) == 0), ~mask & (cv2.dilate(solid, kernel) > 0)
     if not within.any() or not beyond.any():
         return 0.0
     return float(np.median(distance[within]) - np.median(distance[beyond]))

@@ -16,7 +16,7 @@ from nishiki.geometry.hollows import ShadingPhotographs, sink_hollows
 from nishiki.geometry.hull import carve, usual_misses
 from nishiki.geometry.mesh import Mesh, read_points, read_triangles, write_ply
 from nishiki.geometry.placement import agreement, find_overruled, move_mesh, outline_of
-from nishiki.geometry.silhouettes import display, segment
+from nishiki.geometry.silhouettes import display, inside_of, segment
 from nishiki.geometry.surface import fewest_triangles, shape_of, smooth_outline_steps, snap, without_small_parts
 from nishiki.observations.turntable_coherence import FEWEST_VIEWS, describe_coherence
 from nishiki.observations.views import Views
@@ -41,7 +41,7 @@ def run(context: Context) -> dict:
         raise UserError(f"hold_out: no view {', '.join(unknown)}; there are: {', '.join(views.views)}")
     source = source_of(settings.source, views)
     used = [name not in settings.hold_out for name in views.views]
-    outlines, unsure, facts = find_outlines(context, views, source == "silhouettes")
+    outlines, covers, unsure, facts = find_outlines(context, views, source == "silhouettes")
     masks, diagnostics = list(outlines), expect_coherence(context, views, cameras, outlines)
     if source == "silhouettes":
         context.progress.tell("hull")
@@ -49,7 +49,11 @@ def run(context: Context) -> dict:
         given, background = len(masks) - len(facts), background_of(context, views)
         diagnostics["silhouettes"] = {"given": given, "background": background, **overruling, "views": facts}
         kept = keep_usable(masks, used)
-        hull = carve(kept, cameras, cells=settings.cells)
+        covers = [
+            mask if cover is None else np.where(mask > inside_of(cover), np.uint8(255), cover)
+            for mask, cover in zip(masks, covers, strict=True)
+        ]
+        hull = carve(keep_usable(covers, used), cameras, cells=settings.cells)
         diagnostics["hull"] = {"cell": hull.cell, "shape": hull.volume.shape, "box": hull.box.tolist()}
         if settings.concavities:
             context.progress.tell("front parts")
@@ -75,10 +79,7 @@ def run(context: Context) -> dict:
     step = grid_step(light.mesh, cameras)  # the coarsest grid that moves no vertex visibly
     mesh = snap(light.mesh, step)
     if source == "silhouettes":
-        masks = [
-            outline | (mask & outline_of(mesh, camera))
-            for outline, mask, camera in zip(outlines, masks, cameras, strict=True)
-        ]
+        masks = [o | (mask & outline_of(mesh, c)) for o, mask, c in zip(outlines, masks, cameras, strict=True)]
     write(context, views, cameras, mesh, masks)
     deviations = {"deviation_px": light.deviation_px, "deviation_largest_px": light.deviation_largest_px}
     return {
@@ -108,18 +109,20 @@ def keep_usable(masks: list, used: list[bool]) -> list:
     return [mask if use else None for mask, use in zip(masks, used, strict=True)]
 
 
-def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], list, dict]:
-    """Return silhouettes, given or segmented; pixels of segmented ones that may be object, and figures by view."""
+def find_outlines(context: Context, views: Views, needed: bool) -> tuple[list[np.ndarray | None], list, list, dict]:
+    """Return silhouettes, given or segmented; of segmented ones cover, pixels that may be object, figures by view."""
     outlines, facts = [views.silhouette(name) for name in views.views], {}
+    covers: list[np.ndarray | None] = [None] * len(outlines)
     unsure = [None if outline is None else np.zeros_like(outline) for outline in outlines]
     missing = [place for place, outline in enumerate(outlines) if outline is None] if needed else []
     for place in context.progress.over(missing, "silhouette"):
         picture = display(views.mean_light(place))
         segmented = segment(picture, background=background_of(context, views))
-        outlines[place], unsure[place] = segmented.mask, segmented.dropped | (picture.max(axis=-1) < DARK)
-        facts[views.views[place]] = {**vars(segmented), "dropped": int(segmented.dropped.sum())}
-        del facts[views.views[place]]["mask"]
-    return outlines, unsure, facts
+        outlines[place], covers[place] = segmented.mask, segmented.cover
+        unsure[place] = segmented.dropped | (picture.max(axis=-1) < DARK)
+        figures = {name: value for name, value in vars(segmented).items() if name not in ("mask", "cover")}
+        facts[views.views[place]] = {**figures, "dropped": int(segmented.dropped.sum())}
+    return outlines, covers, unsure, facts
 
 
 def background_of(context: Context, views: Views) -> str:
@@ -233,14 +236,9 @@ def fit_of(mesh: Mesh, cameras: list[Camera], masks: list, used: list[bool]) -> 
     if not known:
         return None
     iou = {cameras[place].name: agreement(outline_of(mesh, cameras[place]), masks[place]) for place in known}
-    carved = [iou[cameras[place].name] for place in known if used[place]]
-    left = [iou[cameras[place].name] for place in known if not used[place]]
-    return {
-        "iou": iou,
-        "iou_mean": float(np.mean(carved)) if carved else None,
-        "iou_least": min(carved) if carved else None,
-        "iou_held_out": float(np.mean(left)) if left else None,
-    }
+    left, carved = ([iou[cameras[place].name] for place in known if used[place] == use] for use in (False, True))
+    mean, held_out = (float(np.mean(shares)) if shares else None for shares in (carved, left))
+    return {"iou": iou, "iou_mean": mean, "iou_least": min(carved, default=None), "iou_held_out": held_out}
 
 
 def write(context: Context, views: Views, cameras: list[Camera], mesh: Mesh, masks: list) -> None:
