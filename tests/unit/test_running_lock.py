@@ -297,7 +297,7 @@ def test_a_termination_reaches_an_engine_that_heeds_no_interrupt(start):
     child += "print('ready', flush=True); time.sleep(60)"
     process = start("a", "import signal; signal.signal(2, signal.SIG_IGN); sys.exit(" + CALL.format(child=child) + ")")
     process.terminate()
-    assert process.wait(timeout=20) == 7
+    assert process.wait(timeout=50) == 7
     assert [record.state for record in records(Path("results"))] == ["ended"]
 
 
